@@ -19,8 +19,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let record = fit_record::find(fit)?;
     println!("{}", record.verdict().sentence());
-    for format in [Format::Merl, Format::Mitsuba] {
-        let file: &Path = &out.with_extension(format.ending());
+    for format in ["merl", "mitsuba"] {
+        let format = &Format::named(format).ok_or("no such format")?;
+        let file: &Path = &out.with_extension(format.ending);
         for written in export(&record, format, file)?.files {
             println!("wrote {}", written.display());
         }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::export::{self, Format};
+use rig::export::{self, FORMATS};
 use rig::session::Session;
 use rig::session::fit_record::{self, BudgetRecord, FitImages, FitRecord, Interval};
 use rig::workflow::fit_images_in_memory;
@@ -258,11 +258,12 @@ impl Fit {
 
     /// Write the BRDF for another program, as `rig export` does; returns the files written.
     ///
-    /// format: "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender"
-    /// or "gltf".
+    /// format: a name of a format of that command which needs no session, such as "merl".
     fn export(&self, py: Python<'_>, path: PathBuf, format: &str) -> PyResult<Vec<PathBuf>> {
-        let Some(format) = Format::named(format) else {
-            let known = Format::ALL.map(|(name, _)| name).join(", ");
+        let known = FORMATS.iter().filter(|format| format.needs_no_session());
+        let Some(format) = known.clone().find(|known| known.name == format) else {
+            let known: Vec<_> = known.map(|format| format.name).collect();
+            let known = known.join(", ");
             return Err(input(format!("format is {format:?}, but must be one of {known}")).into());
         };
         let written = work::detached(py, || export::export(&self.record, format, &path))?;

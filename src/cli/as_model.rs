@@ -5,7 +5,7 @@ use std::path::Path;
 use super::brdf::spec::load;
 use super::output::{self, unwritable};
 use super::{CliError, Context};
-use crate::export::{self, ExportError, Exported, Format, LARGEST_ERROR, ModelFormat, Subject};
+use crate::export::{self, ExportError, Exported, LARGEST_ERROR, ModelFormat, Subject};
 use crate::session::fit_record;
 
 /// Prints the files of an export, and what was lost.
@@ -37,11 +37,7 @@ pub fn convert(
 ) -> Result<(), CliError> {
     let exported = if Path::new(spec).is_dir() {
         // A fit: the file says where it comes from.
-        export::export(
-            &fit_record::find(Path::new(spec))?,
-            Format::Model(format),
-            out,
-        )
+        export::export(&fit_record::find(Path::new(spec))?, &format.format(), out)
     } else {
         let brdf = load(spec)?;
         let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));

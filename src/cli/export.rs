@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use super::{CliError, Context, as_model, output};
-use crate::export::{self, ExportError, Format};
+use crate::export::{self, ExportError, FORMATS, Format};
 use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
 use crate::session::layout::FITS_FOLDER;
 use crate::workflow::{StatedResult, StatedResultError};
@@ -20,49 +20,17 @@ pub struct ExportArgs {
     #[arg(long, value_name = "N")]
     fit: Option<u32>,
     /// What to write
-    #[arg(long, value_enum)]
-    format: FormatArg,
+    #[arg(long, value_parser = formats())]
+    format: Format,
     /// The file to write; `brdf` with the format's usual ending if not given
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FormatArg {
-    /// Dictionary, weights, model discrepancy and the table with its intervals
-    Json,
-    /// MERL .binary, 90 x 90 x 180 cells
-    Merl,
-    /// RGL .bsdf in RGB, for Mitsuba 3's `measured`
-    Rgl,
-    /// RGL .bsdf with spectra, for pbrt-v4's `measured` and spectral Mitsuba 3
-    RglSpectral,
-    /// Scene fragment for the RGB variants of Mitsuba 3: the mixture of the weights, exactly
-    Mitsuba,
-    /// Material for pbrt-v4, with the .bsdf it refers to
-    Pbrt,
-    /// OpenPBR in MaterialX (.mtlx), the nearest of that model; what it loses is printed and drawn
-    #[value(name = "openpbr")]
-    OpenPbr,
-    /// Script that makes the material in Blender 4.0 and later (.py), likewise
-    Blender,
-    /// Sphere of the material in binary glTF 2.0 (.glb), likewise
-    Gltf,
-    /// Universal BRDF JSON of the European BRDF projects (BiRD), with expanded uncertainty;
-    /// of a fitted session
-    Birdf,
-}
-
-impl FormatArg {
-    fn name(self) -> String {
-        let value = self.to_possible_value().expect("no format is hidden");
-        value.get_name().to_owned()
-    }
-
-    /// As a format of [`export::export`]; none is the one that needs the fit's session.
-    fn of_any_fit(self) -> Option<Format> {
-        Format::named(&self.name())
-    }
+/// The names of the formats, with what they write.
+fn formats() -> impl TypedValueParser<Value = Format> {
+    let names = FORMATS.map(|format| PossibleValue::new(format.name).help(format.about));
+    PossibleValuesParser::new(names).map(|name| Format::named(&name).expect("one of them"))
 }
 
 /// What to do where a session has no such fit.
@@ -70,45 +38,48 @@ const LATEST_FIT: &str = "leave --fit out to take the latest";
 
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let Some(format) = args.format.of_any_fit() else {
-        return birdf(args, context);
+    let format = args.format;
+    let usual = || {
+        let plain = format.needs_no_session();
+        let stem = if plain { "brdf" } else { format.name };
+        PathBuf::from(stem).with_extension(format.ending)
     };
-    let ending = format.ending();
-    let path = args.out.clone();
-    let path = path.unwrap_or_else(|| PathBuf::from(format!("brdf.{ending}")));
-    output::check_ending(&path, ending)?;
-    let dir = match args.fit {
-        Some(number) => args.dir.join(FITS_FOLDER).join(number.to_string()),
-        None => args.dir.clone(),
+    let path = args.out.clone().unwrap_or_else(usual);
+    output::check_ending(&path, format.ending)?;
+    let exported = if format.needs_no_session() {
+        let record = record(args)?;
+        warn_of(&record, context);
+        export::export(&record, &format, &path)
+    } else {
+        let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
+        warn_of(&result.record, context);
+        let lacking = result.config.lab.missing();
+        if !lacking.is_empty() {
+            context.note(format!(
+                "\"{}\" in the file: {}; state them in [lab] of the rig file before the capture",
+                export::birdf::NOT_STATED,
+                lacking.join(", ")
+            ));
+        }
+        export::export_session(&result, &format, &path)
     };
-    let record = fit_record::find(&dir).map_err(|error| match (args.fit, &error) {
-        (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
-        _ => error.into(),
-    })?;
-    warn_of(&record, context);
-    as_model::show(&export::export(&record, format, &path)?, context)
-}
-
-/// Writes the universal BRDF JSON of a fitted session.
-fn birdf(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let path = args.out.clone();
-    let path = path.unwrap_or_else(|| PathBuf::from("birdf.json"));
-    output::check_ending(&path, "json")?;
-    let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
-    warn_of(&result.record, context);
-    let lacking = result.config.lab.missing();
-    if !lacking.is_empty() {
-        context.note(format!(
-            "\"{}\" in the file: {}; state them in [lab] of the rig file before the capture",
-            export::birdf::NOT_STATED,
-            lacking.join(", ")
-        ));
-    }
-    export::birdf::write(&result, &path).map_err(|error| match error {
+    let exported = exported.map_err(|error| match error {
         ExportError::Io { path, source } => output::unwritable(&path, &source),
         error => error.into(),
     })?;
-    output::write_path(&path)
+    as_model::show(&exported, context)
+}
+
+/// The fit that is asked for.
+fn record(args: &ExportArgs) -> Result<FitRecord, CliError> {
+    let dir = match args.fit {
+        Some(number) => &args.dir.join(FITS_FOLDER).join(number.to_string()),
+        None => &args.dir,
+    };
+    fit_record::find(dir).map_err(|error| match (args.fit, &error) {
+        (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
+        _ => error.into(),
+    })
 }
 
 /// Advice where a result cannot be stated to others.
@@ -135,18 +106,5 @@ fn warn_of(record: &FitRecord, context: &Context) {
             Some(reason) => format!("{}: {reason}", record.verdict().sentence()),
             None => record.verdict().sentence().to_owned(),
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_format_has_its_name_here() {
-        let here = FormatArg::value_variants().iter().map(|of| of.name());
-        let mut known: Vec<_> = Format::ALL.map(|(name, _)| name.to_owned()).into();
-        known.push("birdf".into());
-        assert_eq!(here.collect::<Vec<_>>(), known);
     }
 }

@@ -231,6 +231,8 @@ fn for_export(error: &ExportError) -> Option<String> {
                 .into(),
         ),
         ExportError::Io { source, .. } => for_io(source),
+        // The command gives the session to formats that need it.
+        ExportError::NeedsSession { .. } => None,
         // No reader hands such values on.
         ExportError::Model(ModelFitError::NotFinite) => None,
         ExportError::Model(ModelFitError::Black) => Some(

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::config::RigConfig;
 use crate::config::stage::StageDriver;
 use crate::device::kinematics::{Kinematics, Mechanism};
+use crate::export::FORMATS;
 use crate::units::StageAngles;
 
 /// What a console is for.
@@ -43,6 +44,7 @@ pub fn facts(rig: &RigConfig, file: &str, folder: &Path, mode: Mode) -> Value {
         "version": env!("CARGO_PKG_VERSION"),
         "mode": mode.name(),
         "folder": folder.to_string_lossy(),
+        "formats": FORMATS.map(|format| (format.name, format.about)),
         "rig": {
             "name": rig.name,
             "file": file,

@@ -11,16 +11,23 @@
 //! not Gaussian, so it is not a multiple of a standard uncertainty; both ends of the interval
 //! are in columns of their own.
 
-use std::path::Path;
-
 use glam::DVec3;
 use serde_json::{Map, Value, json};
 
-use super::{ExportError, SIMULATED_NOTE, replace};
+use super::{ExportError, Format, SIMULATED_NOTE, Writer, replace};
 use crate::brdf::HalfDifference;
 use crate::session::fit_record::coverage;
 use crate::session::layout::FITS_FOLDER;
 use crate::workflow::StatedResult;
+
+/// With expanded uncertainty, of the cells that the images constrain.
+pub(super) const FORMAT: Format = Format {
+    name: "birdf",
+    about: "Universal BRDF JSON of the European BRDF projects (BiRD), with expanded uncertainty; of a fitted session",
+    ending: "json",
+    companion: None,
+    writer: Writer::OfSession(|result, out| replace(out, to_json(result)?.as_bytes())),
+};
 
 /// The schema that the document follows.
 pub const SCHEMA: &str = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json";
@@ -31,14 +38,6 @@ pub const NOT_STATED: &str = "not stated";
 const NO_EMAIL: &str = "not-stated@example.invalid";
 
 const DIRECTIONS_NOTE: &str = "The measurand is the bivariate BRDF, f over half and difference angle, at an azimuth of the difference vector of 90 degrees; the sample is taken as isotropic. Directions are generated on that surface: both zenith angles are equal, and the azimuth of the illumination is 0 by choice.";
-
-/// Writes the document. A file of that name is replaced, whole or not at all.
-///
-/// # Errors
-/// The images constrain no cell, or the system's error.
-pub fn write(result: &StatedResult, out: &Path) -> Result<(), ExportError> {
-    replace(out, to_json(result)?.as_bytes())
-}
 
 /// The document's text.
 ///

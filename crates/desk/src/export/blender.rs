@@ -2,10 +2,19 @@
 
 use std::fmt::Write;
 
-use super::Subject;
-use super::model::AsModel;
+use super::model::{AsModel, ModelFormat};
 use super::text::literal;
+use super::{Format, PICTURE, Subject, Writer};
 use crate::parametric::COAT_IOR;
+
+/// The nearest of the Principled BSDF.
+pub(super) const FORMAT: Format = Format {
+    name: "blender",
+    about: "Script that makes the material in Blender 4.0 and later (.py), likewise",
+    ending: ModelFormat::Blender.ending(),
+    companion: PICTURE,
+    writer: Writer::AsModel(ModelFormat::Blender),
+};
 
 /// What follows the values.
 const MAKE: &str = r#"

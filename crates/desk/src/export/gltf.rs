@@ -4,9 +4,18 @@ use std::f64::consts::{PI, TAU};
 
 use serde_json::{Map, Value, json};
 
-use super::Subject;
-use super::model::AsModel;
+use super::model::{AsModel, ModelFormat};
+use super::{Format, PICTURE, Subject, Writer};
 use crate::parametric::{Parameters, USUAL_IOR};
+
+/// The nearest of that model, on a sphere.
+pub(super) const FORMAT: Format = Format {
+    name: "gltf",
+    about: "Sphere of the material in binary glTF 2.0 (.glb), likewise",
+    ending: ModelFormat::Gltf.ending(),
+    companion: PICTURE,
+    writer: Writer::AsModel(ModelFormat::Gltf),
+};
 
 /// Radius of the sphere, metres.
 const RADIUS_M: f64 = 0.5;

@@ -2,12 +2,21 @@
 
 use serde_json::{Value, json};
 
-use super::SIMULATED_NOTE;
+use super::{Format, SIMULATED_NOTE, Writer, replace};
 use crate::brdf::discrepancy;
 use crate::session::fit_record::{DiscrepancyRecord, FitRecord};
 
+/// Everything, for programs.
+pub(super) const FORMAT: Format = Format {
+    name: "json",
+    about: "Dictionary, weights, model discrepancy and the table with its intervals (.json)",
+    ending: "json",
+    companion: None,
+    writer: Writer::OfFit(|record, files| replace(&files[0], to_json(record).as_bytes())),
+};
+
 /// Version of the document's layout.
-pub const FORMAT: u32 = 1;
+const VERSION: u32 = 1;
 
 /// ln of what f is more than the mixture's, bilinear in its exponential between the angles.
 fn discrepancy(discrepancy: &DiscrepancyRecord) -> Value {
@@ -57,7 +66,7 @@ pub fn to_json(record: &FitRecord) -> String {
     };
     let mut document = json!({
         "format": "rig-brdf",
-        "version": FORMAT,
+        "version": VERSION,
         "simulated": record.simulated,
         "program": concat!("rig ", env!("CARGO_PKG_VERSION")),
         "brdf_unit": "1/sr, cosine excluded",

@@ -2,10 +2,19 @@
 
 use std::fmt::Write;
 
-use super::Subject;
-use super::model::AsModel;
+use super::model::{AsModel, ModelFormat};
 use super::text::{xml_comment, xml_value};
+use super::{Format, PICTURE, Subject, Writer};
 use crate::parametric::COAT_IOR;
+
+/// The nearest of that model.
+pub(super) const FORMAT: Format = Format {
+    name: "openpbr",
+    about: "OpenPBR in MaterialX (.mtlx), the nearest of that model; what it loses is printed and drawn",
+    ending: ModelFormat::OpenPbr.ending(),
+    companion: PICTURE,
+    writer: Writer::AsModel(ModelFormat::OpenPbr),
+};
 
 /// The document's text.
 pub fn to_xml(material: &AsModel, subject: &Subject<'_>) -> String {

@@ -12,10 +12,28 @@
 
 use std::fmt::Write;
 
-use super::SIMULATED_NOTE;
 use super::text::xml_comment;
+use super::{Format, SIMULATED_NOTE, Writer, replace};
 use crate::brdf::Mixture;
 use crate::brdf::atom::{Diffuse, Distribution, Facets};
+
+/// The mixture, exactly; a model discrepancy is left out.
+pub(super) const FORMAT: Format = Format {
+    name: "mitsuba",
+    about: "Scene fragment for the RGB variants of Mitsuba 3 (.xml): the mixture of the weights, exactly",
+    ending: "xml",
+    companion: None,
+    writer: Writer::OfFit(|record, files| {
+        let note = record.discrepancy.as_ref().map(|discrepancy| {
+            format!(
+                "This is the mixture alone. The fitted BRDF differs from it by a model discrepancy, {:.1} times the usual one of measured materials, which RGL and MERL exports include.",
+                discrepancy.amplitude
+            )
+        });
+        let text = to_xml(&record.mixture()?, record.simulated, note.as_deref());
+        replace(&files[0], text.as_bytes())
+    }),
+};
 
 /// The identifier of the BSDF in the fragment.
 pub const BSDF_ID: &str = "rig";

@@ -1,17 +1,7 @@
 //! The fitted BRDF in files that other programs read.
 //!
-//! | format | file | exactness |
-//! |---|---|---|
-//! | `json` | dictionary, weights, model discrepancy, (θh, θd) table with intervals | exact |
-//! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note in a file of its own | the BRDF at the cells' nodes |
-//! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
-//! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
-//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | the mixture exactly; a model discrepancy is left out |
-//! | [`birdf`] | universal BRDF JSON of the European BRDF projects | the constrained cells, with intervals |
-//! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
-//! | `openpbr` | OpenPBR in MaterialX | the nearest of that model, with its loss stated |
-//! | `blender` | script for Blender's Principled BSDF | likewise |
-//! | `gltf` | sphere in binary glTF | likewise |
+//! A format is one file here, which states it in its `FORMAT`, and its place in [`FORMATS`];
+//! the command line, the console and Python read that list.
 //!
 //! Exports of simulated sessions say so inside the file, or in that note
 //! where the format has no room.
@@ -25,6 +15,7 @@ mod facets;
 pub mod gltf;
 pub mod json;
 pub mod materialx;
+mod merl_file;
 pub mod mitsuba;
 mod model;
 pub mod pbrt;
@@ -43,73 +34,85 @@ use crate::brdf::{Brdf, BrdfError, merl};
 use crate::outside_file::ends_in;
 use crate::parametric::FitError;
 use crate::session::fit_record::FitRecord;
+use crate::workflow::StatedResult;
 use crate::{checksum, shown, whole_file};
 
-/// A file format of [`export`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
-    /// Everything, for programs.
-    Json,
-    /// The MERL database's `.binary`.
-    Merl,
-    /// RGL's `.bsdf` in RGB.
-    Rgl,
-    /// RGL's `.bsdf` with spectra.
-    RglSpectral,
-    /// A scene fragment for Mitsuba 3.
-    Mitsuba,
-    /// A material for pbrt-v4, with its `.bsdf`.
-    Pbrt,
-    /// A material in another program's own model.
-    Model(ModelFormat),
+/// A file format.
+#[derive(Clone, Copy, Debug)]
+pub struct Format {
+    /// Its name on the command line, in the console and in Python.
+    pub name: &'static str,
+    /// What it writes, in a phrase.
+    pub about: &'static str,
+    /// The usual ending of its files.
+    pub ending: &'static str,
+    /// The file that it makes next to the one asked for.
+    companion: Option<Companion>,
+    writer: Writer,
 }
+
+/// The name of a second file.
+#[derive(Clone, Copy, Debug)]
+enum Companion {
+    /// `a.b.ENDING` next to `a.b`.
+    Added(&'static str),
+    /// `a.ENDING` next to `a.b`.
+    Instead(&'static str),
+}
+
+/// What a format is made of.
+#[derive(Clone, Copy, Debug)]
+enum Writer {
+    /// Any fit, into [`Format::files`].
+    OfFit(fn(&FitRecord, &[PathBuf]) -> Result<(), ExportError>),
+    /// Any material, as the nearest of a program's own model.
+    AsModel(ModelFormat),
+    /// A fitted session: it also states what was measured, and by whom.
+    OfSession(fn(&StatedResult, &Path) -> Result<(), ExportError>),
+}
+
+/// All formats.
+pub const FORMATS: [Format; 10] = [
+    json::FORMAT,
+    merl_file::FORMAT,
+    rgl::FORMAT,
+    rgl::SPECTRAL_FORMAT,
+    mitsuba::FORMAT,
+    pbrt::FORMAT,
+    materialx::FORMAT,
+    blender::FORMAT,
+    gltf::FORMAT,
+    birdf::FORMAT,
+];
 
 impl Format {
-    /// All formats by their names on the command line, in the console and in Python.
-    pub const ALL: [(&str, Self); 9] = [
-        ("json", Self::Json),
-        ("merl", Self::Merl),
-        ("rgl", Self::Rgl),
-        ("rgl-spectral", Self::RglSpectral),
-        ("mitsuba", Self::Mitsuba),
-        ("pbrt", Self::Pbrt),
-        ("openpbr", Self::Model(ModelFormat::OpenPbr)),
-        ("blender", Self::Model(ModelFormat::Blender)),
-        ("gltf", Self::Model(ModelFormat::Gltf)),
-    ];
-
     /// The format of this name.
     pub fn named(name: &str) -> Option<Self> {
-        let found = Self::ALL.into_iter().find(|(known, _)| *known == name);
-        found.map(|(_, format)| format)
+        FORMATS.into_iter().find(|format| format.name == name)
     }
 
-    /// The usual ending of its files.
-    pub const fn ending(self) -> &'static str {
-        match self {
-            Self::Json => "json",
-            Self::Merl => "binary",
-            Self::Rgl | Self::RglSpectral => "bsdf",
-            Self::Mitsuba => "xml",
-            Self::Pbrt => "pbrt",
-            Self::Model(format) => format.ending(),
-        }
+    /// Whether [`export`] writes it; [`export_session`] writes all.
+    pub fn needs_no_session(&self) -> bool {
+        !matches!(self.writer, Writer::OfSession(_))
     }
 
-    /// The files that [`export`] makes where `out` was asked for: that first, then what
-    /// belongs to it.
-    pub fn files(self, out: &Path) -> Vec<PathBuf> {
-        let mut files = vec![out.to_owned()];
-        match self {
-            Self::Merl => files.push(with_ending_added(out, "txt")),
-            Self::Pbrt => files.push(out.with_extension("spectral.bsdf")),
-            #[cfg(feature = "figures")]
-            Self::Model(_) => files.push(with_ending_added(out, "png")),
-            _ => {}
-        }
-        files
+    /// The files that are made where `out` was asked for: that first, then what belongs to it.
+    pub fn files(&self, out: &Path) -> Vec<PathBuf> {
+        let companion = match self.companion {
+            Some(Companion::Added(ending)) => Some(with_ending_added(out, ending)),
+            Some(Companion::Instead(ending)) => Some(out.with_extension(ending)),
+            None => None,
+        };
+        [out.to_owned()].into_iter().chain(companion).collect()
     }
 }
+
+/// The picture beside a material of another program's model.
+const PICTURE: Option<Companion> = if cfg!(feature = "figures") {
+    Some(Companion::Added("png"))
+} else {
+    None
+};
 
 /// A file format of [`table`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -169,6 +172,12 @@ pub enum ExportError {
     /// No cell of the table is constrained by the images: nothing was measured.
     #[error("the images constrain no cell of the fit's table: there is no measured value to write")]
     NothingConstrained,
+    /// The format states more than a fit knows.
+    #[error("format {format} needs the session of the fit")]
+    NeedsSession {
+        /// Its name.
+        format: &'static str,
+    },
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
@@ -195,35 +204,12 @@ pub struct Exported {
 /// Writes the fit as `out`. A file of that name is replaced, whole or not at all.
 ///
 /// # Errors
-/// An unusable fit, or the system's error.
-pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported, ExportError> {
+/// An unusable fit, a format that needs the fit's session, or the system's error.
+pub fn export(record: &FitRecord, format: &Format, out: &Path) -> Result<Exported, ExportError> {
     let files = format.files(out);
-    match format {
-        Format::Json => replace(out, json::to_json(record).as_bytes())?,
-        Format::Mitsuba => {
-            let note = record.discrepancy.as_ref().map(|discrepancy| {
-                format!(
-                    "This is the mixture alone. The fitted BRDF differs from it by a model discrepancy, {:.1} times the usual one of measured materials, which RGL and MERL exports include.",
-                    discrepancy.amplitude
-                )
-            });
-            let text = mitsuba::to_xml(&record.mixture()?, record.simulated, note.as_deref());
-            replace(out, text.as_bytes())?;
-        }
-        Format::Merl => {
-            merl::write(out, &*record.material()?)?;
-            replace(&files[1], merl_note(record).as_bytes())?;
-        }
-        Format::Rgl | Format::RglSpectral => {
-            replace(out, &rgl_bytes(record, format == Format::RglSpectral)?)?;
-        }
-        Format::Pbrt => {
-            let bsdf = &files[1];
-            replace(bsdf, &rgl_bytes(record, true)?)?;
-            let name = bsdf.file_name().unwrap_or_default().to_string_lossy();
-            replace(out, pbrt::to_text(&name, record.simulated).as_bytes())?;
-        }
-        Format::Model(format) => {
+    match format.writer {
+        Writer::OfFit(write) => write(record, &files)?,
+        Writer::AsModel(model) => {
             let (material, description) = (record.material()?, summary(record));
             let subject = Subject {
                 brdf: &*material,
@@ -231,10 +217,36 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported
                 simulated: record.simulated,
                 out,
             };
-            return subject.export(format);
+            return subject.export(model);
+        }
+        Writer::OfSession(_) => {
+            return Err(ExportError::NeedsSession {
+                format: format.name,
+            });
         }
     }
     Ok(Exported { files, model: None })
+}
+
+/// Writes the fit of a session as `out`, as [`export`] does, in any format.
+///
+/// # Errors
+/// As there.
+pub fn export_session(
+    result: &StatedResult,
+    format: &Format,
+    out: &Path,
+) -> Result<Exported, ExportError> {
+    match format.writer {
+        Writer::OfSession(write) => {
+            write(result, out)?;
+            Ok(Exported {
+                files: format.files(out),
+                model: None,
+            })
+        }
+        _ => export(&result.record, format, out),
+    }
 }
 
 /// A material that becomes another program's.
@@ -263,7 +275,7 @@ impl Subject<'_> {
             ModelFormat::Blender => blender::to_script(&model, self).into_bytes(),
             ModelFormat::Gltf => gltf::to_glb(&model, self),
         };
-        let files = Format::Model(format).files(self.out);
+        let files = format.format().files(self.out);
         #[cfg(feature = "figures")]
         replace(&files[1], &comparison::to_png(&model)?)?;
         replace(self.out, &bytes)?;
@@ -311,17 +323,6 @@ fn with_ending_added(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-fn rgl_bytes(record: &FitRecord, spectral: bool) -> Result<Vec<u8>, ExportError> {
-    let mut text = summary(record);
-    let channels = if spectral {
-        text += " Spectra are an assumption: smooth ones whose colour under D65 is the RGB value.";
-        rgl::Channels::Spectral
-    } else {
-        rgl::Channels::Rgb
-    };
-    Ok(rgl::to_bytes(&*record.material()?, channels, &text))
-}
-
 /// Where the values come from, in two sentences; formats that hold text hold this.
 fn summary(record: &FitRecord) -> String {
     let share = record.table.constrained_share() * 100.0;
@@ -338,14 +339,6 @@ fn summary(record: &FitRecord) -> String {
         "Mixture of the dictionary {}{discrepancy}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
         shown::line(&record.dictionary),
         env!("CARGO_PKG_VERSION"),
-    )
-}
-
-/// A MERL file has no room for text, so this is written next to it.
-fn merl_note(record: &FitRecord) -> String {
-    format!(
-        "{}\nBRDF in 1/sr (cosine excluded), R, G, B, in the layout and with the scale factors of the MERL database.\nIntervals are in the fit's table.csv.\n",
-        summary(record)
     )
 }
 

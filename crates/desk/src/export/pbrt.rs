@@ -4,8 +4,24 @@
 //! channel: `mix` takes one amount for all channels and chooses one side at random,
 //! and `conductor` has no factor per channel.
 
-use super::SIMULATED_NOTE;
 use super::text::literal;
+use super::{Companion, Format, SIMULATED_NOTE, Writer, replace, rgl};
+
+/// With the file of spectra that it refers to.
+pub(super) const FORMAT: Format = Format {
+    name: "pbrt",
+    about: "Material for pbrt-v4 (.pbrt), with the .bsdf it refers to",
+    ending: "pbrt",
+    companion: Some(Companion::Instead("spectral.bsdf")),
+    writer: Writer::OfFit(|record, files| {
+        let [out, bsdf] = files else {
+            unreachable!("two files are made")
+        };
+        replace(bsdf, &rgl::of_fit(record, rgl::Channels::Spectral)?)?;
+        let name = bsdf.file_name().unwrap_or_default().to_string_lossy();
+        replace(out, to_text(&name, record.simulated).as_bytes())
+    }),
+};
 
 /// The material's name in the fragment.
 pub const MATERIAL_NAME: &str = "rig";

@@ -20,7 +20,35 @@ use super::facets::{DIFFERENCES_DEG, Facets, across, square_of, theta_of};
 use super::spectrum;
 use super::tensor_file::{self, Field};
 use super::warp::Warp;
+use super::{ExportError, Format, Writer, replace, summary};
 use crate::brdf::Brdf;
+use crate::session::fit_record::FitRecord;
+
+/// RGL's file in RGB.
+pub(super) const FORMAT: Format = Format {
+    name: "rgl",
+    about: "RGL .bsdf in RGB, for Mitsuba 3's `measured`",
+    ending: "bsdf",
+    companion: None,
+    writer: Writer::OfFit(|record, files| replace(&files[0], &of_fit(record, Channels::Rgb)?)),
+};
+
+/// The same with spectra; they are an assumption.
+pub(super) const SPECTRAL_FORMAT: Format = Format {
+    name: "rgl-spectral",
+    about: "RGL .bsdf with spectra, for pbrt-v4's `measured` and spectral Mitsuba 3",
+    writer: Writer::OfFit(|record, files| replace(&files[0], &of_fit(record, Channels::Spectral)?)),
+    ..FORMAT
+};
+
+/// The bytes of a fit's file.
+pub(super) fn of_fit(record: &FitRecord, channels: Channels) -> Result<Vec<u8>, ExportError> {
+    let mut text = summary(record);
+    if matches!(channels, Channels::Spectral) {
+        text += " Spectra are an assumption: smooth ones whose colour under D65 is the RGB value.";
+    }
+    Ok(to_bytes(&*record.material()?, channels, &text))
+}
 
 /// What the table's channels are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -58,7 +58,7 @@ fn json_has_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = with_discrepancy();
-    export(&record, Format::Json, &out).unwrap();
+    export(&record, &json::FORMAT, &out).unwrap();
     let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(document["discrepancy"]["amplitude"], 0.8);
     let node = &document["discrepancy"]["nodes"][40];
@@ -86,7 +86,7 @@ fn blends_have_a_note_that_they_lack_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.xml");
     let text = |record: &FitRecord| {
-        export(record, Format::Mitsuba, &out).unwrap();
+        export(record, &mitsuba::FORMAT, &out).unwrap();
         std::fs::read_to_string(&out).unwrap()
     };
     assert!(text(&with_discrepancy()).contains("model discrepancy"));
@@ -98,7 +98,7 @@ fn json_has_the_whole_brdf() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = record(true);
-    let files = export(&record, Format::Json, &out).unwrap().files;
+    let files = export(&record, &json::FORMAT, &out).unwrap().files;
     assert_eq!(files, std::slice::from_ref(&out));
     let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(document["simulated"], true);
@@ -123,7 +123,7 @@ fn a_merl_file_is_read_back_exactly() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("x.binary");
     let record = with_discrepancy();
-    let files = export(&record, Format::Merl, &out).unwrap().files;
+    let files = export(&record, &merl_file::FORMAT, &out).unwrap().files;
     assert_eq!(files, [out.clone(), folder.path().join("x.binary.txt")]);
     assert!(
         std::fs::read_to_string(&files[1])
@@ -180,10 +180,10 @@ fn a_merl_file_is_read_back_exactly() {
 fn only_simulated_exports_are_marked() {
     let folder = tempfile::tempdir().unwrap();
     for (format, name) in [
-        (Format::Json, "a.json"),
-        (Format::Mitsuba, "a.xml"),
-        (Format::Rgl, "a.bsdf"),
-        (Format::Pbrt, "a.pbrt"),
+        (&json::FORMAT, "a.json"),
+        (&mitsuba::FORMAT, "a.xml"),
+        (&rgl::FORMAT, "a.bsdf"),
+        (&pbrt::FORMAT, "a.pbrt"),
     ] {
         for simulated in [true, false] {
             let out = folder.path().join(name);
@@ -201,10 +201,10 @@ fn an_unusable_fit_or_place_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let mut bad = record(false);
     bad.atoms[0].alpha = None;
-    let error = export(&bad, Format::Mitsuba, &folder.path().join("a.xml")).unwrap_err();
+    let error = export(&bad, &mitsuba::FORMAT, &folder.path().join("a.xml")).unwrap_err();
     assert!(error.to_string().contains("paper42"), "{error}");
     let nowhere = folder.path().join("missing/a.json");
-    let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
+    let error = export(&record(false), &json::FORMAT, &nowhere).unwrap_err();
     assert!(error.to_string().contains("missing/a.json"), "{error}");
 }
 

@@ -6,34 +6,24 @@
 use std::path::{Path, PathBuf};
 
 use crate::beneath::{self, BeneathError};
-use crate::export::Format;
+use crate::export::{FORMATS, Format};
 
 /// Under which a page finds the exports of a session.
 pub const EXPORTS_FOLDER: &str = "exports";
 /// Where they are, next to the sessions: a folder for each.
 pub const EXPORTS_ROOT: &str = ".exports";
 
-/// The formats of `rig export` by their names there.
-pub fn formats() -> impl Iterator<Item = &'static str> {
-    let of_any_fit = Format::ALL.iter().map(|(name, _)| *name);
-    of_any_fit.chain(["birdf"])
-}
-
 /// The names of the files that an export of fit `number` makes, the one with the format's
 /// usual ending first; `None` if there is no such format.
 pub fn files(number: u32, format: &str) -> Option<Vec<String>> {
-    let format = formats().find(|known| *known == format)?;
-    let known = Format::named(format);
-    let ending = known.map_or("json", Format::ending);
-    let file = PathBuf::from(format!("fit-{number}-{format}.{ending}"));
-    let files = match known {
-        Some(known) => known.files(&file),
-        None => vec![file],
-    };
-    let names = files
-        .into_iter()
-        .filter_map(|file| file.into_os_string().into_string().ok());
-    Some(names.collect())
+    let format = Format::named(format)?;
+    let file = PathBuf::from(format!("fit-{number}-{}.{}", format.name, format.ending));
+    let names = format.files(&file).into_iter();
+    Some(
+        names
+            .filter_map(|file| file.into_os_string().into_string().ok())
+            .collect(),
+    )
 }
 
 /// Whether an export makes a file of this name.
@@ -44,8 +34,9 @@ pub fn is_export(name: &str) -> bool {
     let Some(number) = number.and_then(|(number, _)| number.parse().ok()) else {
         return false;
     };
-    formats()
-        .any(|format| files(number, format).is_some_and(|made| made.iter().any(|of| of == name)))
+    FORMATS.iter().any(|format| {
+        files(number, format.name).is_some_and(|made| made.iter().any(|of| of == name))
+    })
 }
 
 /// The folder of a session's exports, made where it is missing; no link leads to it.
@@ -72,14 +63,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_offers_all_formats_and_may_read_what_they_make() {
-        let page = include_str!("../page/session.js");
-        let (_, list) = page.split_once("const FORMATS = [").unwrap();
-        let (list, _) = list.split_once("];").unwrap();
-        let offered = list.lines().filter_map(|line| line.split('"').nth(1));
-        assert_eq!(offered.collect::<Vec<_>>(), formats().collect::<Vec<_>>());
-        for format in formats() {
-            let files = files(3, format).unwrap();
+    fn a_page_may_read_what_the_formats_make() {
+        for format in FORMATS {
+            let files = files(3, format.name).unwrap();
             assert!(files.iter().all(|name| is_export(name)), "{files:?}");
         }
         assert_eq!(

@@ -9,19 +9,6 @@ import { resumeButtons } from "./running.js";
 import { state, watch } from "./stream.js";
 import { badge, latest, quality } from "./verdict.js";
 
-const FORMATS = [
-  ["json", "JSON: weights, discrepancy, table with intervals"],
-  ["merl", "MERL .binary, for many renderers"],
-  ["rgl", "RGL .bsdf in RGB, for Mitsuba 3"],
-  ["rgl-spectral", "RGL .bsdf with spectra, for pbrt-v4"],
-  ["mitsuba", "Mitsuba 3 scene fragment"],
-  ["pbrt", "pbrt-v4 material with its .bsdf"],
-  ["openpbr", "OpenPBR in MaterialX, the nearest of that model"],
-  ["blender", "Script for Blender's Principled BSDF, likewise"],
-  ["gltf", "Sphere in binary glTF 2.0, likewise"],
-  ["birdf", "Universal BRDF JSON (BiRD), with expanded uncertainty"],
-];
-
 /** The address of a file of a session. */
 export function fileOf(session, file) {
   return `sessions/${encodeURIComponent(session)}/${file.split("/").map(encodeURIComponent).join("/")}`;
@@ -159,7 +146,7 @@ function workPanel() {
   });
   // Export.
   const which = h("select", { id: "export-fit" });
-  const format = h("select", { id: "export-format" }, FORMATS.map(([value, label]) => h("option", { value }, label)));
+  const format = h("select", { id: "export-format" });
   const write = h("button", { type: "submit", id: "export" }, "Export");
   const exportForm = h("form", { class: "stack-form" }, field("Fit", which), field("Format", format), write);
   exportForm.addEventListener("submit", async (event) => {
@@ -184,6 +171,8 @@ function workPanel() {
     if (session === null) return;
     const fits = [...(session.fits ?? [])].reverse();
     redraw(which, fits.map((one) => one.name), () => fits.map((one) => h("option", { value: one.name }, `fit ${one.name}, ${one.dictionary ?? ""}`)));
+    const formats = state.console?.formats ?? [];
+    redraw(format, formats.map(([name]) => name), () => formats.map(([value, about]) => h("option", { value }, `${value}: ${about}`)));
     const job = state.job;
     for (const resume of document.querySelectorAll("[id^=resume-session]")) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
     const busy = job && ["running", "paused", "ending"].includes(job.state) ? `A ${job.kind} is running.` : null;
