@@ -91,7 +91,7 @@ fn every_stage_with_every_camera_gives_a_rig_file() {
             // A lamp whose distance the mechanism states is as far away as was answered.
             assert_eq!(rig.geometry.light.distance_mm, Some(400.0), "{stage:?}");
             assert_eq!(rig.stage.measures.len(), 3);
-            assert!(rig.fit.refine_bench && rig.uncertainty.common_intensity == 1.0);
+            assert!(rig.fit.refine_bench == Some(true) && rig.uncertainty.common_intensity == 1.0);
             let lines = written.text.lines().count();
             assert!(lines > 80, "{lines} lines:\n{}", written.text);
         }
