@@ -91,20 +91,13 @@ pub struct FitRequest {
     pub seed: Option<u64>,
     /// The same weights for all colour channels
     #[cfg_attr(feature = "clap", arg(id = "shared_weights", long = "shared-weights", action = clap::ArgAction::SetTrue, value_parser = command_line::shared()))]
-    #[serde(
-        rename = "shared_weights",
-        with = "shared_weights",
-        default,
-        skip_serializing_if = "Option::is_none"
-    )]
+    #[serde(rename = "shared_weights", with = "shared_weights", default)]
     pub channels: std::option::Option<Channels>,
     /// Relative error of the model that the weighting allows for.
     #[cfg_attr(feature = "clap", arg(long, value_name = "T", value_parser = command_line::number(MODEL_ERROR), help = command_line::within_or("Relative error of the model that the weighting allows for", MODEL_ERROR, FitOptions::default().model_error)))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub model_error: Option<f64>,
     /// PNG of the images' size: only pixels that are white in it are compared
     #[cfg_attr(feature = "clap", arg(long, value_name = "PNG"))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub mask: Option<PathBuf>,
     /// Most cells of the images that are compared, within [`BUDGET`](cells::BUDGET).
     #[cfg_attr(feature = "clap", arg(long, value_name = "N", value_parser = command_line::size(CELLS), help = command_line::cells()))]
@@ -113,7 +106,6 @@ pub struct FitRequest {
     /// Memory that the whole fit may take, MiB. `None`: what the cells need and
     /// [`CacheOptions::max_bytes`] for paths, as far as the machine has them free.
     #[cfg_attr(feature = "clap", arg(long = "memory", value_name = "MIB", value_parser = clap::value_parser!(u64).range(MEMORY_MIB), help = command_line::memory()))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub memory_mib: Option<u64>,
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
     #[cfg_attr(feature = "clap", arg(long, value_parser = command_line::choice(KERNELS), default_value = "auto", hide_default_value = true))]
@@ -136,7 +128,6 @@ pub struct FitRequest {
     /// Whose work the fit is, as its record is to state it: a job that is repeated finds its fit
     /// by that.
     #[cfg_attr(feature = "clap", arg(skip))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub job: Option<String>,
 }
 

@@ -118,6 +118,27 @@ fn every_table_and_key_is_explained() {
     }
 }
 
+/// What is commented out in a capture's table is what holds without it.
+#[test]
+fn commented_choices_of_a_capture_are_the_defaults() {
+    let written = made(&bench(CAMERAS[0], STAGES[0])).unwrap();
+    let (before, rest) = written.text.split_once("\n[capture]\n").unwrap();
+    let (capture, after) = rest.split_once("\n[").unwrap();
+    let is_key = |line: &str| {
+        line.split_once(" = ")
+            .is_some_and(|(key, _)| !key.contains(' '))
+    };
+    let stated = capture.lines().map(|line| match line.strip_prefix("# ") {
+        Some(key) if is_key(key) => key,
+        _ => line,
+    });
+    let stated: Vec<&str> = stated.collect();
+    let text = format!("{before}\n[capture]\n{}\n[{after}", stated.join("\n"));
+    assert_ne!(text, written.text);
+    let rig = RigConfig::parse(FILE, Path::new(""), &text).unwrap();
+    assert_eq!(rig.capture, written.rig.capture);
+}
+
 #[test]
 fn lens_sample_and_lamp_are_as_answered() {
     let mut bench = bench(CAMERAS[0], ("manual", ""));
