@@ -70,7 +70,7 @@ impl Source for Keywords<'_, '_> {
     /// A text, or a path.
     fn text(&mut self, key: &'static str) -> PyResult<Option<String>> {
         let path = self.take::<PathBuf>(key)?;
-        path.map(|path| text_of(&path, key)).transpose()
+        Ok(path.map(|path| text_of(&path, key)).transpose()?)
     }
 
     fn choice<T: Clone>(

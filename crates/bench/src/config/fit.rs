@@ -172,10 +172,6 @@ impl FitRequest {
     /// # Errors
     /// A value that the source refuses.
     pub fn read<S: Source>(from: &mut S) -> Result<Self, S::Error> {
-        let shared = |shared| match shared {
-            true => Channels::Shared,
-            false => Channels::Separate,
-        };
         let count = |count| count as u32;
         Ok(Self {
             dictionary: from.text("dictionary")?,
@@ -183,7 +179,7 @@ impl FitRequest {
             samples_per_cell: from.integer(S::SAMPLES, SAMPLES_PER_CELL)?.map(count),
             max_reflections: from.integer("max_reflections", MAX_REFLECTIONS)?.map(count),
             seed: from.integer("seed", SEED)?,
-            channels: from.flag("shared_weights")?.map(shared),
+            channels: from.flag("shared_weights")?.map(shared_weights::channels),
             model_error: from.number("model_error", MODEL_ERROR)?,
             cells: from.integer("cells", CELLS)?.map(|count| count as usize),
             refine_bench: from.flag("refine_bench")?,
@@ -272,10 +268,14 @@ mod shared_weights {
 
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Channels>, D::Error> {
         let shared = Option::<bool>::deserialize(from)?;
-        Ok(shared.map(|shared| match shared {
+        Ok(shared.map(channels))
+    }
+
+    pub fn channels(shared: bool) -> Channels {
+        match shared {
             true => Channels::Shared,
             false => Channels::Separate,
-        }))
+        }
     }
 }
 

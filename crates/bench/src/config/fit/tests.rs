@@ -1,69 +1,28 @@
-use std::convert::Infallible;
+use std::collections::BTreeSet;
+use std::path::Path;
 
 use super::*;
-
-/// Holds nothing, and notes what it is asked for.
-#[derive(Default)]
-struct Asked(Vec<&'static str>);
-
-impl Source for Asked {
-    type Error = Infallible;
-
-    fn integer(
-        &mut self,
-        key: &'static str,
-        _: RangeInclusive<u64>,
-    ) -> Result<Option<u64>, Infallible> {
-        self.0.push(key);
-        Ok(None)
-    }
-
-    fn number(
-        &mut self,
-        key: &'static str,
-        _: RangeInclusive<f64>,
-    ) -> Result<Option<f64>, Infallible> {
-        self.0.push(key);
-        Ok(None)
-    }
-
-    fn flag(&mut self, key: &'static str) -> Result<Option<bool>, Infallible> {
-        self.0.push(key);
-        Ok(None)
-    }
-
-    fn text(&mut self, key: &'static str) -> Result<Option<String>, Infallible> {
-        self.0.push(key);
-        Ok(None)
-    }
-
-    fn choice<T: Clone>(
-        &mut self,
-        key: &'static str,
-        _: &[(&'static str, T)],
-    ) -> Result<Option<T>, Infallible> {
-        self.0.push(key);
-        Ok(None)
-    }
-}
+use crate::config::reader::Section;
 
 #[test]
 fn the_command_line_has_the_options_that_are_read_by_key() {
-    let mut asked = Asked::default();
-    let Ok(request) = FitRequest::read(&mut asked).and_then(|read| read.read_machine(&mut asked));
-    assert_eq!(request, FitRequest::default());
-    let mut keys: Vec<&str> = asked.0;
-    keys.extend(["mask", "uncertainty"]);
-    keys.sort_unstable();
+    let mut table = Section::parse("", Path::new(""), "").unwrap();
+    let request = FitRequest::read(&mut table).and_then(|read| read.read_machine(&mut table));
+    assert_eq!(request.unwrap(), FitRequest::default());
+    let keys = table.vocabulary().into_iter();
+    let keys = keys.map(|key| match key.as_str() {
+        "samples_per_pixel" => "samples_per_cell".to_owned(),
+        _ => key,
+    });
+    let others = ["mask", "uncertainty"].map(str::to_owned);
+    let keys: BTreeSet<String> = keys.chain(others).collect();
 
     let command = <FitRequest as clap::Args>::augment_args(clap::Command::new("fit"));
     command.clone().debug_assert();
-    let mut ids: Vec<&str> = command
+    let ids = command
         .get_arguments()
-        .map(|o| o.get_id().as_str())
-        .collect();
-    ids.sort_unstable();
-    assert_eq!(ids, keys);
+        .map(|option| option.get_id().to_string());
+    assert_eq!(ids.collect::<BTreeSet<_>>(), keys);
 }
 
 #[test]
