@@ -14,7 +14,8 @@ use crate::inverse::Channels;
 use crate::transport::CacheOptions;
 
 impl FitRequest {
-    /// The words that give `rig fit` the option of this key; `None` if it has no such option.
+    /// The words that give `rig fit` the option of this key; `None` if it has no such option,
+    /// or one that is said or not, and the value is neither `true` nor `false`.
     pub fn words(key: &str, value: &str) -> Option<Vec<String>> {
         let command = <Self as clap::Args>::augment_args(clap::Command::new("fit"));
         let option = command
@@ -22,11 +23,12 @@ impl FitRequest {
             .find(|option| option.get_id() == key)?;
         let name = option.get_long()?;
         // A value stands behind `=` and is never read as an option.
-        Some(match (option.get_action().takes_values(), value) {
-            (true, value) => vec![format!("--{name}={value}")],
-            (false, "true") => vec![format!("--{name}")],
-            (false, _) => Vec::new(),
-        })
+        match (option.get_action().takes_values(), value) {
+            (true, value) => Some(vec![format!("--{name}={value}")]),
+            (false, "true") => Some(vec![format!("--{name}")]),
+            (false, "false") => Some(Vec::new()),
+            (false, _) => None,
+        }
     }
 }
 

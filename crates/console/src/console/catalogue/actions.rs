@@ -197,6 +197,7 @@ mod tests {
             ("job", json!("1")),
             ("seed", json!([3])),
             ("dictionary", json!(3)),
+            ("shared_weights", json!(1)),
         ] {
             let form = FitForm::from_iter([(key.to_owned(), value)]);
             let refused = arguments(&form).unwrap_err();
