@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, TypedDict, Unpack, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,22 @@ _Path: TypeAlias = str | PathLike[str]
 _Progress: TypeAlias = Callable[[str, int, int | None], object]
 _Optimizer: TypeAlias = Literal["gauss-newton", "exponentiated-gradient", "single-bounce"]
 _Kernel: TypeAlias = Literal["portable", "avx2", "avx512", "auto"]
+
+class _FitOptions(TypedDict, total=False):
+    dictionary: _Path | None
+    optimizer: _Optimizer | None
+    samples_per_cell: int | None
+    max_reflections: int | None
+    seed: int | None
+    shared_weights: bool | None
+    model_error: float | None
+    mask: _Path | None
+    cells: int | None
+    memory_mib: int | None
+    kernel: _Kernel | None
+    refine_bench: bool | None
+    uncertainty: Mapping[str, float] | None
+
 _Mosaic: TypeAlias = Literal["none", "rggb", "grbg", "gbrg", "bggr"]
 _Format: TypeAlias = Literal[
     "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender", "gltf"
@@ -150,42 +166,18 @@ class Session:
     def fit(
         self,
         *,
-        dictionary: _Path | None = None,
-        optimizer: _Optimizer | None = None,
-        samples_per_cell: int | None = None,
-        max_reflections: int | None = None,
-        seed: int | None = None,
-        shared_weights: bool | None = None,
-        model_error: float | None = None,
-        mask: _Path | None = None,
-        cells: int | None = None,
-        memory_mib: int | None = None,
-        kernel: _Kernel | None = None,
-        refine_bench: bool | None = None,
-        uncertainty: Mapping[str, float] | None = None,
         pose: _Path | None = None,
         progress: _Progress | None = None,
+        **options: Unpack[_FitOptions],
     ) -> Fit: ...
 
 def fit(
     scene: Scene | _Path,
     images: Sequence[RadianceImage | ArrayLike | _Path],
     *,
-    dictionary: _Path | None = None,
-    optimizer: _Optimizer | None = None,
-    samples_per_cell: int | None = None,
-    max_reflections: int | None = None,
-    seed: int | None = None,
-    shared_weights: bool | None = None,
-    model_error: float | None = None,
-    mask: _Path | None = None,
-    cells: int | None = None,
-    memory_mib: int | None = None,
-    kernel: _Kernel | None = None,
-    refine_bench: bool | None = None,
-    uncertainty: Mapping[str, float] | None = None,
     out: _Path | None = None,
     progress: _Progress | None = None,
+    **options: Unpack[_FitOptions],
 ) -> Fit: ...
 def merge(
     frames: _Path | Sequence[_Path],

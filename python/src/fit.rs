@@ -312,6 +312,15 @@ fn budget_record(py: Python<'_>, budget: &BudgetRecord) -> PyResult<Py<PyAny>> {
     )
 }
 
+/// The keywords of the options of a fit, as signatures state them.
+macro_rules! fit_keywords {
+    () => {
+        "dictionary=None, optimizer=None, samples_per_cell=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory_mib=None, kernel=None, refine_bench=None, uncertainty=None"
+    };
+}
+pub(crate) use fit_keywords;
+
+#[doc = concat!("fit(scene, images, *, ", fit_keywords!(), ", out=None, progress=None)\n--\n")]
 /// Fit a BRDF to images of a scene; the result of `rig fit --scene`.
 ///
 /// scene: a Scene, or the path of its file.
@@ -335,7 +344,7 @@ fn budget_record(py: Python<'_>, budget: &BudgetRecord) -> PyResult<Py<PyAny>> {
 #[pyfunction]
 #[pyo3(
     signature = (scene, images, *, out = None, progress = None, **options),
-    text_signature = "(scene, images, *, dictionary=None, optimizer=None, samples_per_cell=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory_mib=None, kernel=None, refine_bench=None, uncertainty=None, out=None, progress=None)"
+    text_signature = None
 )]
 pub fn fit(
     py: Python<'_>,

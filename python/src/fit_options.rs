@@ -1,18 +1,14 @@
 //! The keywords of a fit as the library's request.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::cells::BUDGET;
+use rig::config::fit::{FitRequest, Source};
 use rig::config::uncertainty::Deviation;
-use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
-use rig::inverse::gauss_newton::GaussNewton;
-use rig::inverse::{Channels, Optimizer};
-use rig::transport::Kernel;
-use rig::workflow::FitRequest;
 
 use crate::brdf::text_of;
 use crate::errors::input;
@@ -54,6 +50,53 @@ impl<'py> Keywords<'_, 'py> {
     }
 }
 
+impl Source for Keywords<'_, '_> {
+    type Error = PyErr;
+
+    fn integer(&mut self, key: &'static str, range: RangeInclusive<u64>) -> PyResult<Option<u64>> {
+        let value = self.take::<Integer>(key)?;
+        Ok(value.map(|value| value.within(key, range)).transpose()?)
+    }
+
+    fn number(&mut self, key: &'static str, range: RangeInclusive<f64>) -> PyResult<Option<f64>> {
+        let value = self.take::<Real>(key)?;
+        Ok(value.map(|value| value.within(key, range)).transpose()?)
+    }
+
+    fn flag(&mut self, key: &'static str) -> PyResult<Option<bool>> {
+        self.take(key)
+    }
+
+    /// A text, or a path.
+    fn text(&mut self, key: &'static str) -> PyResult<Option<String>> {
+        let path = self.take::<PathBuf>(key)?;
+        Ok(path.map(|path| text_of(&path, key)).transpose()?)
+    }
+
+    fn choice<T: Clone>(
+        &mut self,
+        key: &'static str,
+        choices: &[(&'static str, T)],
+    ) -> PyResult<Option<T>> {
+        let Some(name) = self.take::<String>(key)? else {
+            return Ok(None);
+        };
+        let chosen = choices.iter().find(|(known, _)| *known == name);
+        let Some((_, chosen)) = chosen else {
+            let known: Vec<String> = choices
+                .iter()
+                .map(|(name, _)| format!("{name:?}"))
+                .collect();
+            let known = match &known[..] {
+                [others @ .., last] => format!("{} or {last}", others.join(", ")),
+                [] => String::new(),
+            };
+            return Err(input(format!("{key} is {name:?}, but must be {known}")).into());
+        };
+        Ok(Some(chosen.clone()))
+    }
+}
+
 /// The request that these keywords of `function` make.
 ///
 /// # Errors
@@ -61,70 +104,20 @@ impl<'py> Keywords<'_, 'py> {
 /// of their range.
 pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<FitRequest> {
     let left = options.map(|options| options.copy()).transpose()?;
-    let keywords = Keywords { function, left };
-    let dictionary = keywords.take::<PathBuf>("dictionary")?;
-    let dictionary = dictionary.map(|name| text_of(&name, "dictionary"));
-    let optimizer = keywords.take::<String>("optimizer")?;
-    let kernel = keywords.take::<String>("kernel")?;
+    let mut keywords = Keywords { function, left };
+    let request = FitRequest::read(&mut keywords)?.read_machine(&mut keywords)?;
     let uncertainty = keywords.take::<Bound<'_, PyDict>>("uncertainty")?;
-    let shared_weights = keywords.take::<bool>("shared_weights")?;
-    let number = |name: &str, range| match keywords.take::<Integer>(name)? {
-        Some(value) => PyResult::Ok(Some(value.within(name, range)?)),
-        None => Ok(None),
-    };
     let request = FitRequest {
-        dictionary: dictionary.transpose()?,
-        optimizer: optimizer.map(|name| optimizer_of(&name)).transpose()?,
-        samples_per_cell: number("samples_per_cell", 2..=65_536)?.map(|count| count as u32),
-        max_reflections: number("max_reflections", 2..=64)?.map(|count| count as u32),
-        seed: number("seed", 0..=i64::MAX as u64)?,
-        channels: (shared_weights == Some(true)).then_some(Channels::Shared),
-        model_error: match keywords.take::<Real>("model_error")? {
-            Some(error) => Some(error.within("model_error", 0.0..=1.0)?),
-            None => None,
-        },
         mask: keywords.take("mask")?,
-        cells: number("cells", *BUDGET.start() as u64..=*BUDGET.end() as u64)?
-            .map(|cells| cells as usize),
-        memory_mib: number("memory_mib", 16..=1_048_576)?,
-        kernel: kernel.map(|name| kernel_of(&name)).transpose()?,
-        refine_bench: keywords.take("refine_bench")?,
         uncertainty: match uncertainty {
             Some(uncertainty) => deviations(&uncertainty)?,
             None => Vec::new(),
         },
         pose: keywords.take("pose")?,
-        job: None,
+        ..request
     };
     keywords.finish()?;
     Ok(request)
-}
-
-fn optimizer_of(name: &str) -> PyResult<Optimizer> {
-    match name {
-        "gauss-newton" => Ok(Optimizer::GaussNewton(GaussNewton::default())),
-        "exponentiated-gradient" => Ok(Optimizer::ExponentiatedGradient(
-            ExponentiatedGradient::default(),
-        )),
-        "single-bounce" => Ok(Optimizer::SingleBounce),
-        _ => Err(input(format!(
-            "optimizer is {name:?}, but must be \"gauss-newton\", \"exponentiated-gradient\" or \"single-bounce\""
-        ))
-        .into()),
-    }
-}
-
-fn kernel_of(name: &str) -> PyResult<Kernel> {
-    match name {
-        "portable" => Ok(Kernel::Portable),
-        "avx2" => Ok(Kernel::Avx2),
-        "avx512" => Ok(Kernel::Avx512),
-        "auto" => Ok(Kernel::detect()),
-        _ => Err(input(format!(
-            "kernel is {name:?}, but must be \"portable\", \"avx2\", \"avx512\" or \"auto\""
-        ))
-        .into()),
-    }
 }
 
 fn deviations(uncertainty: &Bound<'_, PyDict>) -> PyResult<Vec<Deviation>> {

@@ -13,7 +13,7 @@ use rig::workflow::fit_session;
 
 use crate::arrays;
 use crate::errors::{Fault, input};
-use crate::fit::Fit;
+use crate::fit::{Fit, fit_keywords};
 use crate::image::{self, image_record};
 use crate::numbers::Integer;
 use crate::records::{plain, record};
@@ -160,16 +160,14 @@ impl Session {
         Ok(Fit::in_session(&session, latest)?)
     }
 
+    #[doc = concat!("fit($self, *, ", fit_keywords!(), ", pose=None, progress=None)\n--\n")]
     /// Fit the merged images and add the fit to the session, as `rig fit SESSION` does.
     ///
     /// Keywords are those of rig.fit; what is left out is as the session's rig file has it.
     /// pose: record of the sample's pose, by `rig calibrate pose`.
     ///
     /// Raises SessionError, and what rig.fit raises; nothing is written then.
-    #[pyo3(
-        signature = (*, progress = None, **options),
-        text_signature = "($self, *, dictionary=None, optimizer=None, samples_per_cell=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory_mib=None, kernel=None, refine_bench=None, uncertainty=None, pose=None, progress=None)"
-    )]
+    #[pyo3(signature = (*, progress = None, **options), text_signature = None)]
     fn fit(
         &self,
         py: Python<'_>,

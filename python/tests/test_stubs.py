@@ -10,7 +10,12 @@ import rig_reflectometry as rig
 from rig_reflectometry import _native, errors, records
 
 STUB = ast.parse((Path(rig.__file__).parent / "_native.pyi").read_text())
-CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
+CLASSES = {
+    node.name: node
+    for node in STUB.body
+    if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+}
+FIT_OPTIONS = next(node for node in STUB.body if getattr(node, "name", "") == "_FitOptions")
 FUNCTIONS = {node.name: node for node in STUB.body if isinstance(node, ast.FunctionDef)}
 
 
@@ -19,13 +24,20 @@ def public(names):
 
 
 def parameters(function):
+    """Those with a place in their order, and the keywords."""
     arguments = function.args
-    named = arguments.posonlyargs + arguments.args + arguments.kwonlyargs
-    return [argument.arg for argument in named if argument.arg != "self"]
+    placed = [argument.arg for argument in arguments.posonlyargs + arguments.args]
+    keywords = {argument.arg for argument in arguments.kwonlyargs}
+    if arguments.kwarg:
+        assert ast.unparse(arguments.kwarg.annotation) == "Unpack[_FitOptions]"
+        keywords |= {option.target.id for option in FIT_OPTIONS.body}
+    return [name for name in placed if name != "self"], keywords
 
 
 def parameters_of(built_in):
-    return [name for name in inspect.signature(built_in).parameters if name != "self"]
+    found = inspect.signature(built_in).parameters.values()
+    keywords = {one.name for one in found if one.kind is one.KEYWORD_ONLY}
+    return [one.name for one in found if one.name not in keywords | {"self"}], keywords
 
 
 def test_the_module():
@@ -44,6 +56,12 @@ def test_classes(name):
         assert is_property == inspect.isgetsetdescriptor(getattr(built_in, member)), member
         if not is_property and member in public(members):
             assert parameters(node) == parameters_of(getattr(built_in, member)), member
+
+
+def test_the_options_of_a_fit_are_read(scene):
+    for option in FIT_OPTIONS.body:
+        with pytest.raises(TypeError, match=f"argument '{option.target.id}'"):
+            rig.fit(scene, [], **{option.target.id: object()})
 
 
 def test_everything_public_is_documented():

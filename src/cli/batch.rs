@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::error::ErrorKind;
 use clap::{Args, Command, FromArgMatches};
 
-use super::fit_args::FitArgs;
 use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::SlurmArgs;
 use super::{CliError, Context, output, usage_fact};
@@ -188,7 +187,7 @@ fn make(args: &NewArgs, context: &Context) -> Result<Batch, CliError> {
 
 /// The options of a fit by the very parser of `rig fit`.
 fn parse_options(words: &[String]) -> Result<FitRequest, String> {
-    let command = FitArgs::augment_args(Command::new("fit").no_binary_name(true))
+    let command = FitRequest::augment_args(Command::new("fit").no_binary_name(true))
         .disable_help_flag(true)
         .color(clap::ColorChoice::Never);
     let fact = |error: clap::Error| match error.kind() {
@@ -200,8 +199,7 @@ fn parse_options(words: &[String]) -> Result<FitRequest, String> {
         _ => usage_fact(&error.render().to_string()),
     };
     let matches = command.try_get_matches_from(words).map_err(fact)?;
-    let args = FitArgs::from_arg_matches(&matches).map_err(fact)?;
-    Ok(args.request())
+    FitRequest::from_arg_matches(&matches).map_err(fact)
 }
 
 /// Does what is open of a selection, with a line for each job.

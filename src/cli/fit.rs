@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use super::capture_events::EventLines;
-use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
 use crate::capture::Progress;
@@ -43,7 +42,7 @@ pub struct FitCommandArgs {
     #[arg(long, conflicts_with = "json")]
     events: bool,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: FitRequest,
 }
 
 /// `rig fit`.
@@ -95,7 +94,7 @@ fn fit_what_is_named(
 ) -> Result<FitOutcome, CliError> {
     let request = FitRequest {
         pose: args.pose.clone(),
-        ..args.fit.request()
+        ..args.fit.clone()
     };
     match (&args.session, &args.scene, &args.out) {
         (Some(session), _, out) => fit(session, out.as_deref(), &request, context, lines),

@@ -40,7 +40,6 @@ pub mod evaluate;
 pub mod exit;
 pub mod export;
 pub mod fit;
-mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::table::Table;
 use super::{CliError, Context, output};
@@ -40,7 +39,7 @@ pub struct ValidateArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: FitRequest,
 }
 
 /// `rig validate`.
@@ -50,9 +49,8 @@ pub fn run(args: &ValidateArgs, context: &Context) -> Result<(), CliError> {
         (None, Some(count)) => HoldOut::Count(count),
         (None, None) => HoldOut::default(),
     };
-    let request = args.fit.request();
     let progress = FitProgress::new(context, None);
-    let validated = validated(args, &hold_out, &request, &progress)?;
+    let validated = validated(args, &hold_out, &progress)?;
     progress.finish(&validated.fit);
     if args.json {
         return output::write_json(&validated.validation);
@@ -63,9 +61,9 @@ pub fn run(args: &ValidateArgs, context: &Context) -> Result<(), CliError> {
 fn validated(
     args: &ValidateArgs,
     hold_out: &HoldOut,
-    request: &FitRequest,
     progress: &FitProgress<'_>,
 ) -> Result<Validated, CliError> {
+    let request = &args.fit;
     match (&args.session, &args.scene) {
         (Some(session), _) => Ok(validate_session(session, hold_out, request, progress)?),
         (None, Some(scene)) => Ok(validate_images(

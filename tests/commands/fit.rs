@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use std::sync::Mutex;
 
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, LumaA, Rgba, RgbaImage};
+use rig::inverse::Channels;
 use rig::progress::Progress;
 use rig::session::fit_record::{self, FitRecord, Grade, Verdict, Warning};
 use rig::transport::Kernel;
@@ -144,11 +145,14 @@ fn the_record_states_how_the_fit_was_made() {
     let settings = &plain.settings;
     assert_eq!(settings.optimizer, "gauss-newton");
     assert_eq!(settings.samples_requested, Some(32));
-    assert_eq!(settings.memory_mib, Some(512));
-    assert_eq!(settings.shared_weights, Some(false));
+    let asked = FitRequest {
+        channels: Some(Channels::Separate),
+        model_error: Some(0.02),
+        memory_mib: Some(512),
+        ..FitRequest::default()
+    };
+    assert_eq!(settings.asked, asked);
     assert_eq!(settings.adapted_paths, Some(true));
-    assert_eq!(settings.model_error, Some(0.02));
-    assert_eq!(settings.mask, None);
     assert_eq!(settings.scene.as_deref(), Some("s.toml"));
     assert_eq!(settings.images, ["i_L000.exr", "i_L001.exr"]);
     assert!(plain.bench.is_none());
@@ -157,10 +161,14 @@ fn the_record_states_how_the_fit_was_made() {
     let options = "--mask m.png --shared-weights --model-error 0.05 --memory 64";
     let other = fitted(home.path(), options);
     let settings = &other.settings;
-    assert_eq!(settings.memory_mib, Some(64));
-    assert_eq!(settings.shared_weights, Some(true));
-    assert_eq!(settings.model_error, Some(0.05));
-    assert_eq!(settings.mask.as_deref(), Some("m.png"));
+    let asked = FitRequest {
+        channels: Some(Channels::Shared),
+        model_error: Some(0.05),
+        mask: Some("m.png".into()),
+        memory_mib: Some(64),
+        ..FitRequest::default()
+    };
+    assert_eq!(settings.asked, asked);
     // The same weights, and nothing compared where the mask is black.
     assert_eq!(other.weights[0], other.weights[2]);
     assert_ne!(plain.weights[0], plain.weights[2]);

@@ -5,7 +5,9 @@
 use rig_core::{brdf, file_system, geometry, radiance_image, transport, units};
 
 use rig_bench::plot;
-use rig_bench::{beneath, calibration, capture, catalogue, config, fault, session, shell_words};
+use rig_bench::{
+    beneath, calibration, capture, catalogue, config, fault, session, shell_words, workflow,
+};
 use rig_desk::export;
 use rig_desk::report;
 use rig_device::{device, radiometry};

@@ -75,7 +75,7 @@ pub fn best(
         }
         .into());
     }
-    let dictionary = Dictionary::load(&config.fit.dictionary)?;
+    let dictionary = Dictionary::load(config.fit.dictionary())?;
     let options = options(config);
     let materials = prior_materials(&dictionary, PRIOR_MATERIALS, options.seed);
     notice(Notice::Comparing {
@@ -151,7 +151,7 @@ fn ranked(choices: &[Choice], candidates: &[StageAngles]) -> Vec<Ranked> {
 
 fn options(config: &RigConfig) -> SelectionOptions {
     SelectionOptions {
-        seed: config.fit.seed,
+        seed: config.fit.seed(),
         ..SelectionOptions::default()
     }
 }

@@ -229,7 +229,7 @@ impl Prepared<'_> {
             true_material: true_material(config),
             material: self.material,
             comment: self.comment,
-            seed: (config.simulation.as_ref()).map_or(config.fit.seed, |s| s.seed),
+            seed: (config.simulation.as_ref()).map_or(config.fit.seed(), |s| s.seed),
             rig: self.rig.file.clone(),
             config: config.text.clone(),
             versions: Versions {

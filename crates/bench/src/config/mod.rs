@@ -4,6 +4,7 @@
 mod build;
 pub mod camera;
 pub mod draft;
+pub mod fit;
 pub mod geometry;
 pub mod lab;
 pub mod limits;

@@ -1,13 +1,13 @@
 //! The tables of a rig file that say how it is used: `[capture]`, `[fit]`,
 //! `[calibration]`.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use super::ConfigError;
 use super::camera::CameraConfig;
+use super::fit::{FitRequest, Source};
 use super::reader::Section;
-use crate::brdf::Dictionary;
-use crate::transport::CacheOptions;
 use crate::units::Seconds;
 
 /// How a capture is done.
@@ -76,56 +76,47 @@ impl CaptureConfig {
     }
 }
 
-/// How a session is fitted unless the command says otherwise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FitConfig {
-    /// Name of a dictionary or a dictionary file.
-    pub dictionary: String,
-    /// Which optimiser.
-    pub optimizer: Optimizer,
-    /// Light paths per cell.
-    pub samples_per_pixel: u32,
-    /// Longest path in surface reflections.
-    pub max_reflections: u32,
-    /// Seed of the paths.
-    pub seed: u64,
-    /// Whether the bench is refined with the weights, within its uncertainty.
-    pub refine_bench: bool,
+/// Reads the `[fit]` table: how a session is fitted unless the command says otherwise.
+pub fn read_fit(mut table: Section) -> Result<FitRequest, ConfigError> {
+    let fit = FitRequest::read(&mut table)?;
+    table.finish()?;
+    Ok(fit)
 }
 
-/// Which optimiser fits the weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Optimizer {
-    /// Gauss-Newton steps on the simplex.
-    GaussNewton,
-    /// Exponentiated gradient with Adam-style steps (the paper's).
-    ExponentiatedGradient,
-}
+impl Source for Section {
+    type Error = ConfigError;
+    const SAMPLES: &'static str = "samples_per_pixel";
 
-impl FitConfig {
-    /// Reads the `[fit]` table.
-    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let fit = Self {
-            dictionary: table.text("dictionary")?.or(Dictionary::DEFAULT.to_owned()),
-            optimizer: table
-                .choice(
-                    "optimizer",
-                    &[
-                        ("gauss-newton", Optimizer::GaussNewton),
-                        ("exponentiated-gradient", Optimizer::ExponentiatedGradient),
-                    ],
-                )?
-                .or(Optimizer::GaussNewton),
-            samples_per_pixel: table
-                .integer("samples_per_pixel", 2..=65_536)?
-                .or(u64::from(CacheOptions::default().samples_per_cell))
-                as u32,
-            max_reflections: table.integer("max_reflections", 2..=64)?.or(16) as u32,
-            seed: table.integer("seed", 0..=i64::MAX as u64)?.or(1),
-            refine_bench: table.flag("refine_bench")?.or(false),
-        };
-        table.finish()?;
-        Ok(fit)
+    fn integer(
+        &mut self,
+        key: &'static str,
+        range: RangeInclusive<u64>,
+    ) -> Result<Option<u64>, ConfigError> {
+        Ok(self.integer(key, range)?.optional())
+    }
+
+    fn number(
+        &mut self,
+        key: &'static str,
+        range: RangeInclusive<f64>,
+    ) -> Result<Option<f64>, ConfigError> {
+        Ok(self.number(key, range)?.optional())
+    }
+
+    fn flag(&mut self, key: &'static str) -> Result<Option<bool>, ConfigError> {
+        Ok(self.flag(key)?.optional())
+    }
+
+    fn text(&mut self, key: &'static str) -> Result<Option<String>, ConfigError> {
+        Ok(self.text(key)?.optional())
+    }
+
+    fn choice<T: Clone>(
+        &mut self,
+        key: &'static str,
+        choices: &[(&'static str, T)],
+    ) -> Result<Option<T>, ConfigError> {
+        Ok(self.choice(key, choices)?.optional())
     }
 }
 

@@ -4,10 +4,11 @@ use std::path::Path;
 
 use super::ConfigError;
 use super::camera::{CameraConfig, CameraDriver};
+use super::fit::FitRequest;
 use super::geometry::GeometryConfig;
 use super::lab::LabConfig;
 use super::limits::LimitsConfig;
-use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
+use super::process::{CalibrationConfig, CaptureConfig, read_fit};
 use super::reader::Section;
 use super::simulation::{SimulationConfig, Timing};
 use super::stage::StageConfig;
@@ -30,7 +31,7 @@ pub struct RigConfig {
     /// How warm the devices may become.
     pub limits: LimitsConfig,
     /// How a session is fitted by default.
-    pub fit: FitConfig,
+    pub fit: FitRequest,
     /// How well the bench is known.
     pub uncertainty: BenchPriors,
     /// Which calibration records belong to it.
@@ -113,7 +114,7 @@ impl RigConfig {
             stage,
             geometry,
             limits: LimitsConfig::read(root.section_or_empty("limits")?)?,
-            fit: FitConfig::read(root.section_or_empty("fit")?)?,
+            fit: read_fit(root.section_or_empty("fit")?)?,
             uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
             calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,
             lab: LabConfig::read(root.section_or_empty("lab")?)?,
@@ -252,6 +253,7 @@ mod tests {
         let rig = parse(simulated()).unwrap();
         assert!(rig.is_simulated());
         assert_eq!(rig.camera.resolution_px, [640, 480]);
+        assert_eq!(rig.fit.samples_per_cell, Some(160));
         let StageDriver::Simulated(grbl) = &rig.stage.driver else {
             panic!("not simulated");
         };
@@ -342,6 +344,21 @@ mod tests {
                 "`stage.azimuth.scale` is 0, but must be away from 0",
             ),
             ("[fit]", "[fits]", "unknown key `fits`"),
+            (
+                "# model_error = 0.01",
+                "model_error = 2",
+                "`fit.model_error` is 2, but must be a number from 0 to 1",
+            ),
+            (
+                "optimizer = \"gauss-newton\"",
+                "optimizer = \"adam\"",
+                "`fit.optimizer` is \"adam\", but must be \"gauss-newton\" or",
+            ),
+            (
+                "refine_bench = false",
+                "mask = \"m.png\"",
+                "unknown key `fit.mask`",
+            ),
             (
                 "driver = \"simulated\"",
                 "driver = \"v4l\"\ndevice = \"/dev/video0\"\nformat = \"Y12 \"",

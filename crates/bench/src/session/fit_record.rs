@@ -35,6 +35,7 @@ use serde::{Deserialize, Serialize};
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
+use crate::config::fit::FitRequest;
 use crate::inverse::comparison::Comparison;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
@@ -124,19 +125,13 @@ pub struct FitSettings {
     /// Camera paths per cell as requested: more than were traced where memory did not suffice.
     /// Optional, as is everything below that may be `None` or empty.
     pub samples_requested: Option<u64>,
-    /// Memory that cached paths might take, MiB.
-    pub memory_mib: Option<u64>,
     /// Whether paths were traced again in the directions in which the first fit's material
     /// reflects.
     pub adapted_paths: Option<bool>,
-    /// The same weights for all channels.
-    pub shared_weights: Option<bool>,
-    /// Relative error of the model that the weighting allowed for.
-    pub model_error: Option<f64>,
-    /// The job of a batch that the fit was made for; none for any other fit.
-    pub job: Option<String>,
-    /// Mask of the compared pixels, as it was named.
-    pub mask: Option<String>,
+    /// The options that fits of all versions do not have, with their defaults: channels, model
+    /// error, mask, memory (that cached paths might take, where none was stated) and job.
+    #[serde(flatten)]
+    pub asked: FitRequest,
     /// Session, as it was named; none for a fit in its session, and for a scene file.
     pub session: Option<String>,
     /// Scene file, as it was named; none for a session.

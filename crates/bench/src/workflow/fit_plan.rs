@@ -9,9 +9,8 @@ use crate::bench_priors::BenchPriors;
 use crate::brdf::Dictionary;
 use crate::cells::choose;
 use crate::cells::{Captured, CellOptions};
-use crate::config::process;
+use crate::config::fit::set;
 use crate::geometry::FormError;
-use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::{FitOptions, Optimizer};
 use crate::plausibility;
 use crate::transport::{Kernel, Scene};
@@ -32,7 +31,7 @@ pub(super) struct FitPlan {
 }
 
 impl FitPlan {
-    /// The request over `config`'s choices over the defaults, on a bench that is known within
+    /// The request over `config`'s over the defaults, on a bench that is known within
     /// `uncertainty` and with a sample whose surface is known within `form_error`.
     ///
     /// # Errors
@@ -40,7 +39,7 @@ impl FitPlan {
     /// contradict each other.
     pub fn new(
         request: &FitRequest,
-        config: Option<&process::FitConfig>,
+        config: Option<&FitRequest>,
         uncertainty: &BenchPriors,
         form_error: Option<FormError>,
     ) -> Result<Self, WorkflowError> {
@@ -49,34 +48,14 @@ impl FitPlan {
             ..FitOptions::default()
         };
 
-        // The configuration over the defaults.
-        let mut dictionary = Dictionary::DEFAULT;
-        let mut refines_bench = false;
-        if let Some(config) = config {
-            dictionary = &config.dictionary;
-            refines_bench = config.refine_bench;
-            options.cache.samples_per_cell = config.samples_per_pixel;
-            options.cache.max_reflections = config.max_reflections.max(2);
-            options.cache.seed = config.seed;
-            if config.optimizer == process::Optimizer::ExponentiatedGradient {
-                options.optimizer =
-                    Optimizer::ExponentiatedGradient(ExponentiatedGradient::default());
-            }
-        }
-
-        // The request over both.
-        let dictionary = Dictionary::load(request.dictionary.as_deref().unwrap_or(dictionary))?;
-        let refines_bench = request.refine_bench.unwrap_or(refines_bench);
-        set(&mut options.optimizer, &request.optimizer);
-        set(
-            &mut options.cache.samples_per_cell,
-            &request.samples_per_cell,
-        );
-        set(&mut options.cache.max_reflections, &request.max_reflections);
-        set(&mut options.cache.seed, &request.seed);
-        set(&mut options.channels, &request.channels);
-        set(&mut options.model_error, &request.model_error);
-        set(&mut options.kernel, &request.kernel);
+        // The request over the configuration over the defaults.
+        let none = FitRequest::default();
+        let config = config.unwrap_or(&none);
+        config.apply(&mut options);
+        request.apply(&mut options);
+        let dictionary = request.dictionary.as_deref();
+        let dictionary = Dictionary::load(dictionary.unwrap_or(config.dictionary()))?;
+        let refines_bench = request.refine_bench.or(config.refine_bench) == Some(true);
         if matches!(options.optimizer, Optimizer::ExponentiatedGradient(_)) {
             options.rounds = 1;
         }
@@ -98,7 +77,7 @@ impl FitPlan {
             job: request.job.clone(),
             memory_mib: request.memory_mib,
             priors: refines_bench.then_some(priors),
-            cells: request.cells,
+            cells: request.cells.or(config.cells),
         })
     }
 
@@ -152,12 +131,5 @@ impl FitPlan {
                 source,
             }),
         }
-    }
-}
-
-/// Replaces `value` where something else was chosen.
-fn set<T: Clone>(value: &mut T, chosen: &Option<T>) {
-    if let Some(chosen) = chosen {
-        value.clone_from(chosen);
     }
 }

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use super::WorkflowError;
 use super::fit_plan::FitPlan;
+use super::{FitRequest, WorkflowError};
 use crate::brdf::score::SPHERE_SIZE;
 use crate::brdf::{Brdf, Mixture};
-use crate::inverse::{Channels, Fit, intervals};
+use crate::inverse::{Fit, intervals};
 use crate::scores::score;
 use crate::session::fit_record::{
     AngleTable, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, Timing, TracePoint,
@@ -89,16 +89,18 @@ fn settings(plan: &FitPlan, fit: &Fit) -> FitSettings {
     let options = &plan.options;
     let [traced, requested] = fit.samples.map(u64::from);
     let paths_mib = (options.cache.max_bytes >> 20) as u64;
+    let mask = plan.mask.as_ref();
     FitSettings {
         optimizer: options.optimizer.name().to_owned(),
         samples_per_pixel: traced,
         samples_requested: Some(requested),
-        memory_mib: plan.memory_mib.or(Some(paths_mib)),
         adapted_paths: Some(options.adapt_paths),
-        shared_weights: Some(options.channels == Channels::Shared),
-        model_error: Some(options.model_error),
-        job: plan.job.clone(),
-        mask: plan.mask.as_ref().map(|path| path.display().to_string()),
+        asked: FitRequest {
+            mask: mask.map(|path| path.display().to_string().into()),
+            memory_mib: plan.memory_mib.or(Some(paths_mib)),
+            job: plan.job.clone(),
+            ..FitRequest::recorded(options)
+        },
         session: None,
         scene: None,
         images: Vec::new(),

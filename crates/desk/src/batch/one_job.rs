@@ -128,7 +128,7 @@ impl Batch {
 fn fit_of(session: &Session, key: &str) -> Option<(u32, FitRecord)> {
     let fits = numbers_in(session).into_iter();
     let mut readable = fits.filter_map(|number| Some((number, read_in(session, number).ok()?)));
-    readable.find(|(_, fit)| fit.settings.job.as_deref() == Some(key))
+    readable.find(|(_, fit)| fit.settings.asked.job.as_deref() == Some(key))
 }
 
 /// The reason with the session by its name alone, which is the same wherever it lies; of one that

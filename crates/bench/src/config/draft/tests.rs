@@ -91,7 +91,7 @@ fn every_stage_with_every_camera_gives_a_rig_file() {
             // A lamp whose distance the mechanism states is as far away as was answered.
             assert_eq!(rig.geometry.light.distance_mm, Some(400.0), "{stage:?}");
             assert_eq!(rig.stage.measures.len(), 3);
-            assert!(rig.fit.refine_bench && rig.uncertainty.common_intensity == 1.0);
+            assert!(rig.fit.refine_bench == Some(true) && rig.uncertainty.common_intensity == 1.0);
             let lines = written.text.lines().count();
             assert!(lines > 80, "{lines} lines:\n{}", written.text);
         }
@@ -116,6 +116,27 @@ fn every_table_and_key_is_explained() {
             }
         }
     }
+}
+
+/// What is commented out in a capture's table is what holds without it.
+#[test]
+fn commented_choices_of_a_capture_are_the_defaults() {
+    let written = made(&bench(CAMERAS[0], STAGES[0])).unwrap();
+    let (before, rest) = written.text.split_once("\n[capture]\n").unwrap();
+    let (capture, after) = rest.split_once("\n[").unwrap();
+    let is_key = |line: &str| {
+        line.split_once(" = ")
+            .is_some_and(|(key, _)| !key.contains(' '))
+    };
+    let stated = capture.lines().map(|line| match line.strip_prefix("# ") {
+        Some(key) if is_key(key) => key,
+        _ => line,
+    });
+    let stated: Vec<&str> = stated.collect();
+    let text = format!("{before}\n[capture]\n{}\n[{after}", stated.join("\n"));
+    assert_ne!(text, written.text);
+    let rig = RigConfig::parse(FILE, Path::new(""), &text).unwrap();
+    assert_eq!(rig.capture, written.rig.capture);
 }
 
 #[test]

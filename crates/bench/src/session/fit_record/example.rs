@@ -1,6 +1,7 @@
 //! The record of a fit, for tests of what reads and writes one.
 
 use super::*;
+use crate::inverse::FitOptions;
 
 /// The record of a fit, with every optional part.
 pub fn fit() -> FitRecord {
@@ -44,12 +45,13 @@ pub fn fit() -> FitRecord {
         settings: FitSettings {
             optimizer: "gauss-newton".to_owned(),
             samples_requested: Some(512),
-            memory_mib: Some(256),
             adapted_paths: Some(true),
-            shared_weights: Some(false),
-            model_error: Some(0.02),
-            job: Some("5f0c".to_owned()),
-            mask: Some("mask.png".to_owned()),
+            asked: FitRequest {
+                mask: Some("mask.png".into()),
+                memory_mib: Some(256),
+                job: Some("5f0c".to_owned()),
+                ..FitRequest::recorded(&FitOptions::default())
+            },
             session: None,
             scene: Some("bench.toml".to_owned()),
             images: vec!["a.exr".to_owned(), "b.exr".to_owned()],

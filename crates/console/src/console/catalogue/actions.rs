@@ -8,7 +8,7 @@ use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::routing::post;
 use serde::Deserialize;
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
 use super::exports::{self, EXPORTS_FOLDER};
 use crate::beneath;
@@ -20,6 +20,7 @@ use crate::console::jobs::{Jobs, Kind, Work};
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
 use crate::session::layout::FITS_FOLDER;
+use crate::workflow::FitRequest;
 
 /// `api/sessions/NAME/fit` and `api/sessions/NAME/export`.
 pub fn action_routes(jobs: Jobs) -> Router {
@@ -29,56 +30,50 @@ pub fn action_routes(jobs: Jobs) -> Router {
         .with_state(jobs)
 }
 
-/// Options of a fit. Whether their values are right decides `rig fit`.
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FitForm {
-    dictionary: Option<String>,
-    model_error: Option<f64>,
-    refine_bench: Option<bool>,
-    shared_weights: Option<bool>,
-    seed: Option<u64>,
+/// Options of a fit by key. Whether their values are right decides `rig fit`.
+type FitForm = Map<String, Value>;
+
+/// The options as `rig fit` takes them.
+///
+/// # Errors
+/// What is no option, or names a file; a dictionary that is neither built in nor a file below the
+/// folder of sessions, to which no link leads.
+fn arguments(form: &FitForm, folder: &FilePath) -> Result<Vec<OsString>, Refusal> {
+    let mut arguments = Vec::new();
+    for (key, value) in form.iter().filter(|(_, value)| !value.is_null()) {
+        let value = match (key.as_str(), value) {
+            ("dictionary", Value::String(named)) => Some(dictionary(named, folder)?),
+            ("dictionary" | "mask", _) => None,
+            (_, Value::String(text)) => Some(text.clone()),
+            (_, Value::Bool(_) | Value::Number(_)) => Some(value.to_string()),
+            _ => None,
+        };
+        let words = value.and_then(|value| FitRequest::words(key, &value));
+        let Some(words) = words else {
+            return Err(Refusal::bad(format!(
+                "body: a page gives a fit no option `{key}` with such a value"
+            )));
+        };
+        arguments.extend(words.into_iter().map(OsString::from));
+    }
+    Ok(arguments)
 }
 
-impl FitForm {
-    /// Values stand behind `=` and are never read as options.
-    ///
-    /// # Errors
-    /// A dictionary that is neither built in nor a file below the folder of sessions, to which
-    /// no link leads.
-    fn arguments(&self, folder: &FilePath) -> Result<Vec<OsString>, Refusal> {
-        let options = [
-            ("--model-error", self.model_error.map(|e| e.to_string())),
-            ("--refine-bench", self.refine_bench.map(|is| is.to_string())),
-            ("--seed", self.seed.map(|seed| seed.to_string())),
-        ];
-        let given = options.into_iter();
-        let mut arguments: Vec<OsString> = given
-            .filter_map(|(name, value)| Some(format!("{name}={}", value?).into()))
-            .collect();
-        if self.shared_weights == Some(true) {
-            arguments.push("--shared-weights".into());
-        }
-        if let Some(named) = &self.dictionary {
-            let mut argument = OsString::from("--dictionary=");
-            if Dictionary::NAMES.contains(&named.as_str()) {
-                argument.push(named);
-            } else if beneath::open(folder, named).is_ok() {
-                argument.push(folder.join(named));
-            } else {
-                let fact = format!(
-                    "{named:?} is no dictionary of the program's own, and no file below the folder of sessions"
-                );
-                let hint = format!(
-                    "take one of {}, or put the file there",
-                    Dictionary::NAMES.join(", ")
-                );
-                return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(hint));
-            }
-            arguments.push(argument);
-        }
-        Ok(arguments)
+/// A dictionary of the program's own, or a file below the folder of sessions.
+fn dictionary(named: &str, folder: &FilePath) -> Result<String, Refusal> {
+    if Dictionary::NAMES.contains(&named) {
+        return Ok(named.to_owned());
     }
+    let known = Dictionary::NAMES.join(", ");
+    if beneath::open(folder, named).is_err() {
+        let fact = format!(
+            "{named:?} is no dictionary of the program's own, and no file below the folder of sessions"
+        );
+        let hint = format!("take one of {known}, or put the file there");
+        return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(hint));
+    }
+    let file = folder.join(named).into_os_string().into_string();
+    file.map_err(|_| Refusal::bad("the folder of sessions has a name that is no Unicode"))
 }
 
 async fn fit(
@@ -90,7 +85,7 @@ async fn fit(
     start(jobs, move |jobs| {
         let session = session(jobs, &name)?;
         let mut arguments = vec!["fit".into(), session.into_os_string()];
-        arguments.extend(form.arguments(&jobs.program().folder)?);
+        arguments.extend(self::arguments(&form, &jobs.program().folder)?);
         Ok(Work {
             hidden: vec!["--events".into()],
             session: Some(name),
@@ -185,17 +180,32 @@ mod tests {
         }))
         .unwrap();
         let expected = [
+            "--dictionary=rig26",
             "--model-error=0.05",
             "--refine-bench=false",
             "--seed=3",
             "--shared-weights",
-            "--dictionary=rig26",
         ];
         let folder = tempfile::tempdir().unwrap();
-        let arguments = |form: &FitForm| form.arguments(&folder.path().join("sessions"));
+        let arguments = |form: &FitForm| arguments(form, &folder.path().join("sessions"));
         assert_eq!(arguments(&form).unwrap(), expected.map(OsString::from));
-        assert!(serde_json::from_value::<FitForm>(json!({"out": "/x"})).is_err());
         assert!(arguments(&FitForm::default()).unwrap().is_empty());
+        for (key, value) in [
+            ("out", json!("/x")),
+            ("mask", json!("/x.png")),
+            ("pose", json!("/x.toml")),
+            ("job", json!("1")),
+            ("seed", json!([3])),
+            ("dictionary", json!(3)),
+            ("shared_weights", json!(1)),
+        ] {
+            let form = FitForm::from_iter([(key.to_owned(), value)]);
+            let refused = arguments(&form).unwrap_err();
+            assert_eq!(refused.status, StatusCode::BAD_REQUEST, "{key}");
+        }
+        let unchosen = json!({"seed": null, "shared_weights": false});
+        let unchosen: FitForm = serde_json::from_value(unchosen).unwrap();
+        assert!(arguments(&unchosen).unwrap().is_empty());
 
         // Files of dictionaries stand below the folder of sessions.
         std::fs::create_dir(folder.path().join("sessions")).unwrap();
@@ -204,11 +214,10 @@ mod tests {
         std::os::unix::fs::symlink("../outside.toml", folder.path().join("sessions/link.toml"))
             .unwrap();
         let named = |dictionary: &str| {
-            let dictionary = Some(dictionary.to_owned());
-            arguments(&FitForm {
-                dictionary,
-                ..FitForm::default()
-            })
+            arguments(&FitForm::from_iter([(
+                "dictionary".to_owned(),
+                dictionary.into(),
+            )]))
         };
         assert_eq!(named("own.toml").unwrap().len(), 1);
         let outside = folder.path().join("outside.toml").display().to_string();

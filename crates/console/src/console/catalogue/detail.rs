@@ -98,20 +98,12 @@ fn settings(record: &FitRecord) -> BTreeMap<&'static str, String> {
         ),
         ("Seed", Some(of.seed.to_string())),
         (
-            "Same weights for all channels",
-            of.shared_weights.map(yes_no),
-        ),
-        (
-            "Relative model error allowed for",
-            of.model_error.map(|error| error.to_string()),
-        ),
-        (
             "Nuisance parameters refined",
             Some(yes_no(record.bench.is_some())),
         ),
         ("End of the optimisation", Some(record.termination.clone())),
     ];
-    let known = entries.into_iter();
+    let known = entries.into_iter().chain(of.asked.shown());
     known
         .filter_map(|(key, value)| Some((key, value?)))
         .collect()
