@@ -17,6 +17,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a device file of another user",
     ),
     (
+        "copy the session's folder itself",
+        "names that no session of this program has",
+    ),
+    (
         "name the first node of the camera",
         "a camera with a metadata node",
     ),
