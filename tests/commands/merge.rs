@@ -90,19 +90,42 @@ fn single_frames_become_an_image_each() {
     let merge = |words: &str| {
         rig()
             .current_dir(&folder)
-            .args(["merge", "--gain", "2", "--read-noise", "3", "--black-level", "0"])
+            .args([
+                "merge",
+                "--gain",
+                "2",
+                "--read-noise",
+                "3",
+                "--black-level",
+                "0",
+            ])
             .args(words.split_whitespace())
             .output()
             .unwrap()
     };
     for (words, fact, hint) in [
-        ("a.png other/a.png --each no", "would both become no/a.exr", "another name"),
-        ("a.png small.png --each no", "10 x 10", "leave the odd frame out"),
-        ("b.png c_2s.png --each no", "exposure of b.png is unknown", "--exposures"),
+        (
+            "a.png other/a.png --each no",
+            "would both become no/a.exr",
+            "another name",
+        ),
+        (
+            "a.png small.png --each no",
+            "10 x 10",
+            "leave the odd frame out",
+        ),
+        (
+            "b.png c_2s.png --each no",
+            "exposure of b.png is unknown",
+            "--exposures",
+        ),
     ] {
         let output = merge(words);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(said.contains(fact) && said.contains(hint), "{words}: {said}");
+        assert!(
+            said.contains(fact) && said.contains(hint),
+            "{words}: {said}"
+        );
         assert!(!path("no").exists(), "{words}");
     }
     let output = merge("a.png b.png --each out");
@@ -111,12 +134,19 @@ fn single_frames_become_an_image_each() {
         "out/a.exr\nout/b.exr\n"
     );
     std::fs::write(path("times.csv"), "b.png,1\n").unwrap();
-    assert!(merge("b.png --exposures times.csv --out b.exr").status.success());
+    assert!(
+        merge("b.png --exposures times.csv --out b.exr")
+            .status
+            .success()
+    );
     let read = |name: &str| rig::radiance_image::exr::read(&path(name)).unwrap().image;
     let (each, alone) = (read("out/b.exr"), read("b.exr"));
     assert_eq!(each.mean, alone.mean);
     assert_eq!(each.variance, alone.variance);
-    assert_eq!((each.mean[0][0], read("out/a.exr").mean[0][0]), (200.0, 50.0));
+    assert_eq!(
+        (each.mean[0][0], read("out/a.exr").mean[0][0]),
+        (200.0, 50.0)
+    );
 }
 
 /// Linear frames whose names state the exposures: the report's ratios are 1, and
