@@ -70,10 +70,6 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
-        "nothing was overwritten; choose another folder or name",
-        "a session that another program makes under the same name in the same second",
-    ),
-    (
         "it may still move, and its lamp be lit",
         "a stop that a stage does not confirm, with the console's unit tests",
     ),
