@@ -144,6 +144,11 @@ pub const TARGETS: &[Target] = &[
         |bytes| drop(rig::session::Journal::parse(bytes)),
         256,
     ),
+    target(
+        "session_archive",
+        |bytes| drop(rig::session::archive::check_bytes(bytes)),
+        256,
+    ),
     target("exr", exr_rows, 64 * DEFLATE),
     target(
         "png",

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, Context, hints};
-use crate::radiometry::bracket_files::{self, BracketError, BracketFile, Problem};
+use crate::radiometry::bracket_files::{self, Bracket, BracketError, BracketFile, Problem};
 
 /// The frames that `paths` (files, or folders of frames) name, with their exposures; notes
 /// frames of a turned camera and, of frames that are not `raw`, warns of what the camera did to
@@ -14,7 +14,25 @@ pub(super) fn find(
     raw: bool,
     context: &Context,
 ) -> Result<Vec<BracketFile>, CliError> {
-    let bracket = bracket_files::find(paths, table).map_err(advised)?;
+    checked(bracket_files::find(paths, table), raw, context)
+}
+
+/// As [`find`], of frames that are each an image by itself.
+pub(super) fn find_single(
+    paths: &[PathBuf],
+    table: Option<&Path>,
+    raw: bool,
+    context: &Context,
+) -> Result<Vec<BracketFile>, CliError> {
+    checked(bracket_files::find_single(paths, table), raw, context)
+}
+
+fn checked(
+    bracket: Result<Bracket, BracketError>,
+    raw: bool,
+    context: &Context,
+) -> Result<Vec<BracketFile>, CliError> {
+    let bracket = bracket.map_err(advised)?;
     if let Some((path, orientation)) = &bracket.turned {
         context.note(format_args!(
             "{}: its EXIF data say orientation {orientation}; frames are not turned, because \

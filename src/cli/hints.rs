@@ -25,7 +25,7 @@ use evaluate::for_evaluate;
 use many::{for_queue, for_reproducibility};
 #[cfg(feature = "reports")]
 use session::for_loading;
-use session::{for_capture, for_fit_record, for_record, for_session};
+use session::{for_archive, for_capture, for_fit_record, for_record, for_session};
 use workflow::for_workflow;
 
 use crate::brdf::BrdfError;
@@ -83,6 +83,7 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_config),
     |error| of_type(error, for_record),
     |error| of_type(error, for_session),
+    |error| of_type(error, for_archive),
     |error| of_type(error, for_images),
     |error| of_type(error, for_capture),
     |error| of_type(error, for_open),

@@ -1,6 +1,6 @@
 //! `rig merge`: any exposure bracket becomes a radiance image.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -15,12 +15,13 @@ use crate::radiometry::adopted_exposures::UsedExposure;
 use crate::radiometry::agreement::ExposureAgreement;
 use crate::radiometry::bracket_files::read_frame;
 use crate::radiometry::bracket_merge::{
-    self, BracketMergeError, CountModel, MergeRequest, check_linear, check_mosaic,
+    self, BracketMergeError, CountModel, MergeRequest, Merged, check_linear, check_mosaic,
 };
 use crate::radiometry::filter_order::FilterDoubt;
 use crate::radiometry::frame_file::Tone;
 use crate::radiometry::mosaic::Mosaic;
 use crate::radiometry::response::Response;
+use crate::radiometry::single_frames;
 
 /// Merges an exposure bracket into a radiance image with variance and mask
 ///
@@ -43,6 +44,10 @@ pub struct MergeArgs {
     /// The radiance image to write (OpenEXR)
     #[arg(long, value_name = "EXR", default_value = "radiance.exr")]
     out: PathBuf,
+    /// Make every frame an image of its own in this folder, DIR/NAME.exr of NAME.png, for lights
+    /// that were photographed with one exposure each; where no frame states its exposure, it is 1
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "measured_exposures"])]
+    each: Option<PathBuf>,
     /// Colour filters over the sensor: none, rggb, grbg, gbrg or bggr; cells become RGB pixels
     #[arg(long, value_name = "ORDER", default_value = "none")]
     mosaic: Mosaic,
@@ -69,34 +74,13 @@ pub struct MergeArgs {
 
 /// `rig merge`.
 pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
-    let files = bracket_files::find(
-        &args.frames,
-        args.exposures.as_deref(),
-        args.response.is_none(),
-        context,
-    )?;
-    let first_path = files[0].path.as_path();
-    let first = read_frame(first_path).map_err(bracket_files::advised)?;
-    check_mosaic(first_path, &first, args.mosaic).map_err(advised)?;
-    let model = match &args.response {
-        Some(path) => {
-            let record = record_in::<ResponseValues>(path)?;
-            let curves = record.values.channels.into_iter().map(Response::from);
-            CountModel::Response(curves.collect())
-        }
-        None => {
-            check_linear(first_path, &first).map_err(advised)?;
-            if first.tone == Tone::Gamma {
-                context.warn(format_args!(
-                    "{}: the PNG says that its counts are sRGB or have another gamma, and they \
-                     are merged as proportional to light: if a camera or converter has bent \
-                     them, {RESPONSE_HINT}",
-                    first_path.display()
-                ));
-            }
-            args.sensor.model(&args.rig, context, &first)?
-        }
+    let find = match args.each {
+        Some(_) => bracket_files::find_single,
+        None => bracket_files::find,
     };
+    let table = args.exposures.as_deref();
+    let files = find(&args.frames, table, args.response.is_none(), context)?;
+    let model = count_model(args, &files[0].path, context)?;
     let request = MergeRequest {
         files: &files,
         model: &model,
@@ -105,18 +89,13 @@ pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
         measured_exposures: args.measured_exposures,
         out: &args.out,
     };
-    let merged = bracket_merge::merge(&request, &()).map_err(advised)?;
-    // What speaks against the result.
-    if let Some(doubt) = &merged.filter_doubt {
-        warn_filters(doubt, args.mosaic, context);
+    if let Some(folder) = &args.each {
+        return merge_each(args, &request, folder, context);
     }
-    let counts = match model {
-        CountModel::Response(_) => Counts::ThroughResponse,
-        _ => Counts::Raw,
-    };
-    warn_agreement(&merged.agreement, counts, context);
-    let [width, height] = merged.size;
+    let merged = bracket_merge::merge(&request, &()).map_err(advised)?;
+    warn_merged(&merged, args, context);
     if merged.masked_pixels > 0 {
+        let [width, height] = merged.size;
         context.note(format_args!(
             "{} of {} pixels are masked: clipped in every exposure, hot, or moving",
             merged.masked_pixels,
@@ -126,18 +105,79 @@ pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
     for used in &merged.exposures {
         note_used(used, context);
     }
-    if !args.json {
-        return write_path(&args.out);
+    match args.json {
+        true => write_json(&MergeReport::new(&args.out, merged)),
+        false => write_path(&args.out),
     }
-    write_json(&MergeReport {
-        image: args.out.display().to_string(),
-        width,
-        height,
-        masked_pixels: merged.masked_pixels,
-        channels: merged.agreement,
-        measured_exposures: merged.exposures,
-        filter_doubt: merged.filter_doubt,
-    })
+}
+
+/// Every light frame by itself.
+fn merge_each(
+    args: &MergeArgs,
+    request: &MergeRequest,
+    folder: &Path,
+    context: &Context,
+) -> Result<(), CliError> {
+    let images = single_frames::plan(request.files, folder, &()).map_err(advised)?;
+    std::fs::create_dir_all(folder)
+        .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))?;
+    let (mut reports, mut masked) = (Vec::new(), 0);
+    for image in &images {
+        let merged = image.merge(request, &()).map_err(advised)?;
+        warn_merged(&merged, args, context);
+        masked += usize::from(merged.masked_pixels > 0);
+        match args.json {
+            true => reports.push(MergeReport::new(&image.out, merged)),
+            false => write_path(&image.out)?,
+        }
+    }
+    if masked > 0 {
+        context.note(format_args!(
+            "{masked} of {} images have masked pixels: clipped or hot",
+            images.len()
+        ));
+    }
+    match args.json {
+        true => write_json(&reports),
+        false => Ok(()),
+    }
+}
+
+/// What the counts mean.
+fn count_model(
+    args: &MergeArgs,
+    first_path: &Path,
+    context: &Context,
+) -> Result<CountModel, CliError> {
+    let first = read_frame(first_path).map_err(bracket_files::advised)?;
+    check_mosaic(first_path, &first, args.mosaic).map_err(advised)?;
+    if let Some(path) = &args.response {
+        let record = record_in::<ResponseValues>(path)?;
+        let curves = record.values.channels.into_iter().map(Response::from);
+        return Ok(CountModel::Response(curves.collect()));
+    }
+    check_linear(first_path, &first).map_err(advised)?;
+    if first.tone == Tone::Gamma {
+        context.warn(format_args!(
+            "{}: the PNG says that its counts are sRGB or have another gamma, and they \
+             are merged as proportional to light: if a camera or converter has bent \
+             them, {RESPONSE_HINT}",
+            first_path.display()
+        ));
+    }
+    args.sensor.model(&args.rig, context, &first)
+}
+
+/// What speaks against the result.
+fn warn_merged(merged: &Merged, args: &MergeArgs, context: &Context) {
+    if let Some(doubt) = &merged.filter_doubt {
+        warn_filters(doubt, args.mosaic, context);
+    }
+    let counts = match args.response {
+        Some(_) => Counts::ThroughResponse,
+        None => Counts::Raw,
+    };
+    warn_agreement(&merged.agreement, counts, context);
 }
 
 fn note_used(used: &UsedExposure, context: &Context) {
@@ -163,6 +203,7 @@ fn advised(error: BracketMergeError) -> CliError {
     use BracketMergeError::*;
     let hint = match error {
         Files(error) => return bracket_files::advised(error),
+        OneName { .. } => "give one of the frames another name, or merge it into another folder",
         Image(error) => return error.into(),
         ColouredMosaic { .. } => "leave --mosaic out for frames that are RGB already",
         NoColours { .. } => "give one value for all pixels, or --mosaic for raw frames in colour",
@@ -195,4 +236,19 @@ struct MergeReport {
     measured_exposures: Vec<UsedExposure>,
     /// What speaks against the order of colour filters.
     filter_doubt: Option<FilterDoubt>,
+}
+
+impl MergeReport {
+    fn new(image: &Path, merged: Merged) -> Self {
+        let [width, height] = merged.size;
+        Self {
+            image: image.display().to_string(),
+            width,
+            height,
+            masked_pixels: merged.masked_pixels,
+            channels: merged.agreement,
+            measured_exposures: merged.exposures,
+            filter_doubt: merged.filter_doubt,
+        }
+    }
 }

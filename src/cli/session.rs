@@ -6,8 +6,9 @@ use serde_json::json;
 
 use super::context::Context;
 use super::error::CliError;
-use super::output::{write_json, write_line};
+use super::output::{write_json, write_line, write_path};
 use crate::out;
+use crate::session::archive;
 use crate::session::layout;
 use crate::session::verify::{Summary, verify};
 use crate::session::{Session, SessionError};
@@ -30,11 +31,37 @@ enum SessionCommand {
     Verify(VerifyArgs),
     /// Lists the lights of a session
     List(ListArgs),
+    /// Writes a session into one file (tar), which another machine verifies and unpacks
+    ///
+    /// The same bytes for the same session; what the journal does not know is left out.
+    Pack(PackArgs),
+    /// Makes a session's folder of such a file, which is checked first
+    Unpack(UnpackArgs),
+}
+
+#[derive(clap::Args, Debug)]
+struct PackArgs {
+    /// The session's folder
+    #[arg(value_name = "SESSION")]
+    session: PathBuf,
+    /// The file to write (default: the session's name with .tar, here)
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+#[derive(clap::Args, Debug)]
+struct UnpackArgs {
+    /// The file that `rig session pack` wrote
+    #[arg(value_name = "FILE")]
+    archive: PathBuf,
+    /// The session's folder to make (default: the file's name without .tar, here)
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 #[derive(clap::Args, Debug)]
 struct VerifyArgs {
-    /// The session's folder
+    /// The session's folder, or the file that `rig session pack` made of it
     #[arg(value_name = "SESSION")]
     session: PathBuf,
     /// The findings as JSON
@@ -53,15 +80,55 @@ struct ListArgs {
 }
 
 /// `rig session`.
-pub fn run(args: &SessionArgs, _: &Context) -> Result<(), CliError> {
+pub fn run(args: &SessionArgs, context: &Context) -> Result<(), CliError> {
     match &args.command {
         SessionCommand::Verify(args) => run_verify(args),
         SessionCommand::List(args) => list_lights(&args.session, args.json),
+        SessionCommand::Pack(args) => run_pack(args, context),
+        SessionCommand::Unpack(args) => run_unpack(args),
     }
 }
 
+fn run_pack(args: &PackArgs, context: &Context) -> Result<(), CliError> {
+    let here = || {
+        let root = std::path::absolute(&args.session)?;
+        let mut name = root.file_name().unwrap_or_default().to_owned();
+        name.push(".tar");
+        Ok::<_, std::io::Error>(PathBuf::from(name))
+    };
+    let out = match &args.out {
+        Some(out) => out.clone(),
+        None => here()?,
+    };
+    let packed = archive::pack(&args.session, &out)?;
+    if let [first, more @ ..] = &*packed.strays {
+        let more = match more.len() {
+            0 => String::new(),
+            count => format!(" and {count} more"),
+        };
+        context.note(format_args!(
+            "{}{more} left out: in no journal record",
+            first.display()
+        ));
+    }
+    write_path(&out)
+}
+
+fn run_unpack(args: &UnpackArgs) -> Result<(), CliError> {
+    let out = match (&args.out, args.archive.file_stem()) {
+        (Some(out), _) => out.clone(),
+        (None, Some(stem)) => PathBuf::from(stem),
+        (None, None) => return Err(CliError::new("the file has no name")),
+    };
+    archive::unpack(&args.archive, &out)?;
+    write_path(&out)
+}
+
 fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
-    let found = verify(&args.session)?;
+    let found = match args.session.is_file() {
+        true => archive::check(&args.session)?,
+        false => verify(&args.session)?,
+    };
     let state = if found.complete {
         "complete"
     } else {

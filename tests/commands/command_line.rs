@@ -4,6 +4,7 @@ use std::io::Read;
 use std::process::{Command, Stdio};
 
 use rig::cli::exit::Exit;
+use rig::session::example;
 
 fn rig() -> Command {
     Command::new(assert_cmd::cargo::cargo_bin("rig"))
@@ -131,4 +132,52 @@ fn a_panic_is_one_line_and_exit_code_2() {
             .starts_with("internal error: the lamp is an orange (tests/commands/command_line.rs:")
     );
     assert!(lines[2].starts_with("hint: ") && lines[2].contains("report"));
+}
+
+/// A session travels as one file, which is verified, and comes back as it was.
+#[test]
+fn a_session_is_packed_and_unpacked() {
+    let home = tempfile::tempdir().unwrap();
+    let name = example::session(home.path(), "bowl", "2026-11-21T02:34:00Z");
+    example::add_fit(home.path(), &name, &example::fit());
+    std::fs::write(home.path().join(&name).join("note.txt"), "mine").unwrap();
+    let run = |words: &[&str]| {
+        let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
+        let output = command
+            .current_dir(&home)
+            .args(["session"])
+            .args(words)
+            .output()
+            .unwrap();
+        let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+        (text(&output.stdout), text(&output.stderr))
+    };
+    let (packed, said) = run(&["pack", &name]);
+    assert_eq!(packed, format!("{name}.tar\n"), "{said}");
+    assert!(said.contains("note.txt left out"), "{said}");
+    let tar = format!("{name}.tar");
+    assert!(run(&["verify", &tar]).0.starts_with("interrupted, "));
+    assert_eq!(run(&["unpack", &tar, "--out", "copy"]).0, "copy\n");
+    assert_eq!(run(&["verify", "copy"]), run(&["verify", &tar]));
+    std::fs::write(home.path().join("bad.tar"), "no archive").unwrap();
+    let inside = format!("copy/{tar}");
+    let cases = [
+        (
+            &["unpack", &tar, "--out", "copy"][..],
+            "choose another folder or name",
+        ),
+        (
+            &["unpack", "bad.tar"],
+            "let `rig session pack` make it anew",
+        ),
+        (
+            &["pack", "copy", "--out", &inside],
+            "choose a place outside the session",
+        ),
+    ];
+    for (words, hint) in cases {
+        let said = run(words).1;
+        assert!(said.contains(hint), "{words:?}: {said}");
+    }
+    assert!(!home.path().join("bad").exists());
 }

@@ -76,6 +76,80 @@ fn a_folder_of_photographs_becomes_a_response_and_radiance() {
     assert!(compared > 500 && worst < 0.15, "{worst} over {compared}");
 }
 
+/// Single frames of many lights: one image each, as a merge of that frame alone would be, with no
+/// exposure needed; whatever cannot be so is refused before anything is written.
+#[test]
+fn single_frames_become_an_image_each() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for (name, dn) in [("a.png", 100u16), ("b.png", 400), ("c_2s.png", 400)] {
+        write_grey(&path(name), 20, (0..400).map(|p| dn + p % 2).collect());
+    }
+    std::fs::create_dir(path("other")).unwrap();
+    write_grey(&path("other/a.png"), 20, (0..400).map(|p| p % 3).collect());
+    write_grey(&path("small.png"), 10, (0..100).map(|p| p % 3).collect());
+    let merge = |words: &str| {
+        rig()
+            .current_dir(&folder)
+            .args([
+                "merge",
+                "--gain",
+                "2",
+                "--read-noise",
+                "3",
+                "--black-level",
+                "0",
+            ])
+            .args(words.split_whitespace())
+            .output()
+            .unwrap()
+    };
+    for (words, fact, hint) in [
+        (
+            "a.png other/a.png --each no",
+            "would both become no/a.exr",
+            "another name",
+        ),
+        (
+            "a.png small.png --each no",
+            "10 x 10",
+            "leave the odd frame out",
+        ),
+        (
+            "b.png c_2s.png --each no",
+            "exposure of b.png is unknown",
+            "--exposures",
+        ),
+    ] {
+        let output = merge(words);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            said.contains(fact) && said.contains(hint),
+            "{words}: {said}"
+        );
+        assert!(!path("no").exists(), "{words}");
+    }
+    let output = merge("a.png b.png --each out");
+    assert_eq!(
+        String::from_utf8_lossy(&output.stdout),
+        "out/a.exr\nout/b.exr\n"
+    );
+    std::fs::write(path("times.csv"), "b.png,1\n").unwrap();
+    assert!(
+        merge("b.png --exposures times.csv --out b.exr")
+            .status
+            .success()
+    );
+    let read = |name: &str| rig::radiance_image::exr::read(&path(name)).unwrap().image;
+    let (each, alone) = (read("out/b.exr"), read("b.exr"));
+    assert_eq!(each.mean, alone.mean);
+    assert_eq!(each.variance, alone.variance);
+    assert_eq!(
+        (each.mean[0][0], read("out/a.exr").mean[0][0]),
+        (200.0, 50.0)
+    );
+}
+
 /// Linear frames whose names state the exposures: the report's ratios are 1, and
 /// a mosaic keeps its size only if asked.
 #[test]

@@ -17,6 +17,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a device file of another user",
     ),
     (
+        "copy the session's folder itself",
+        "names that no session of this program has",
+    ),
+    (
         "name the first node of the camera",
         "a camera with a metadata node",
     ),
@@ -65,10 +69,6 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a Zaber device before firmware 6",
     ),
     ("its file system is not mounted `noexec`", "a mount"),
-    (
-        "nothing was overwritten; choose another folder or name",
-        "a session that another program makes under the same name in the same second",
-    ),
     (
         "it may still move, and its lamp be lit",
         "a stop that a stage does not confirm, with the console's unit tests",

@@ -7,6 +7,7 @@ use crate::radiometry::exposure::PlanError;
 #[cfg(feature = "reports")]
 use crate::report::load::LoadError;
 use crate::session::SessionError;
+use crate::session::archive::ArchiveError;
 use crate::session::fit_record::FitRecordError;
 
 const FOR_NO_MORE_FILES: &str = "remove some files there, of any size (`df -i` counts them), or choose another disk with --out; nothing that was journalled is lost";
@@ -37,6 +38,17 @@ pub(super) fn for_session(error: &SessionError) -> Option<String> {
         SampleName { .. } => "choose a name such as `red-plastic_01`".into(),
         FrameTaken { .. } => "start a new session, or `rig capture --resume` this one".into(),
     })
+}
+
+pub(super) fn for_archive(error: &ArchiveError) -> Option<String> {
+    use ArchiveError::*;
+    match error {
+        Session(error) => for_session(error),
+        Refused { .. } => Some("it was damaged, changed or made by another program: copy it again, or let `rig session pack` make it anew; a folder needs no unpacking".into()),
+        Unpackable { .. } => Some("copy the session's folder itself".into()),
+        Inside { .. } => Some("choose a place outside the session with --out".into()),
+        Io { source, .. } => for_io(source),
+    }
 }
 
 pub(super) fn for_capture(error: &CaptureError) -> Option<String> {

@@ -19,9 +19,10 @@
 //! (the journal is locked).
 //!
 //! [`Session`] reads, [`SessionWriter`] adds, [`verify`](verify::verify)
-//! checks every byte. All writing goes through [`commit::Disk`], so that a test
+//! checks every byte, [`archive`] makes one file of it. All writing goes through [`commit::Disk`], so that a test
 //! can fail each operation ([`faults`]).
 
+pub mod archive;
 pub(crate) mod captured_rig;
 pub mod commit;
 pub mod drift;

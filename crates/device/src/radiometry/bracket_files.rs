@@ -122,6 +122,23 @@ const ROUNDING: f64 = 1.3;
 /// # Errors
 /// See [`BracketError`].
 pub fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketError> {
+    find_frames(paths, table, false)
+}
+
+/// As [`find`], of frames that are each an image by itself: where neither a table nor any of
+/// them states an exposure, it is 1 s for all, because they are compared with none.
+///
+/// # Errors
+/// See [`BracketError`].
+pub fn find_single(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketError> {
+    find_frames(paths, table, true)
+}
+
+fn find_frames(
+    paths: &[PathBuf],
+    table: Option<&Path>,
+    may_be_unstated: bool,
+) -> Result<Bracket, BracketError> {
     let mut files = Vec::new();
     for path in paths {
         match path.is_dir() {
@@ -144,12 +161,16 @@ pub fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketE
         Some(path) => Some((path, read_table(path)?)),
         None => None,
     };
+    let mut each = files.iter().zip(&notes);
+    let is_unstated =
+        may_be_unstated && each.all(|(path, note)| matches!(by_itself(path, note), Ok(None)));
     let files = files.into_iter().zip(&notes).map(|(path, note)| {
         let (role, exposure_s) = match &table {
             Some((table, rows)) => {
                 let row = row_for(rows, &path, table)?;
                 (row.role, row.exposure_s)
             }
+            None if is_unstated => (FrameRole::Light, 1.0),
             None => (FrameRole::Light, stated(&path, note)?),
         };
         Ok(BracketFile {
@@ -324,8 +345,17 @@ fn read(path: &Path) -> Result<Vec<u8>, BracketError> {
     read_regular(path, LARGEST_FRAME_BYTES).map_err(|error| Problem::Unreadable.of(path, error))
 }
 
-/// The exposure by EXIF data and name, which must not contradict each other, seconds.
+/// The exposure that a frame states, seconds.
 fn stated(path: &Path, note: &CameraNote) -> Result<f64, BracketError> {
+    by_itself(path, note)?.ok_or_else(|| {
+        let fact = format!("the exposure of {} is unknown", path.display());
+        Problem::NoExposure.with(fact)
+    })
+}
+
+/// The exposure by EXIF data and name, which must not contradict each other, seconds; `None`
+/// where neither states one.
+fn by_itself(path: &Path, note: &CameraNote) -> Result<Option<f64>, BracketError> {
     let by_exif = note
         .exposure_s()
         .map_err(|error| Problem::UnclearExposure.of(path, error))?;
@@ -339,12 +369,9 @@ fn stated(path: &Path, note: &CameraNote) -> Result<f64, BracketError> {
                 path.display()
             )))
         }
-        (Some(exposure_s), _) | (None, Ok(Some(exposure_s))) => Ok(exposure_s),
+        (Some(exposure_s), _) => Ok(Some(exposure_s)),
         (None, Err(error)) => Err(Problem::AmbiguousName.of(path, error)),
-        (None, Ok(None)) => {
-            let fact = format!("the exposure of {} is unknown", path.display());
-            Err(Problem::NoExposure.with(fact))
-        }
+        (None, Ok(by_name)) => Ok(by_name),
     }
 }
 

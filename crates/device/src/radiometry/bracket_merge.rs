@@ -134,6 +134,14 @@ pub enum BracketMergeError {
     /// The frames cannot be merged.
     #[error(transparent)]
     Merge(StackError),
+    /// Frames that are each an image by itself, and the images would have one name.
+    #[error("{} and {} would both become {}", frames[0].display(), frames[1].display(), out.display())]
+    OneName {
+        /// The frames.
+        frames: [PathBuf; 2],
+        /// The image of either.
+        out: PathBuf,
+    },
     /// The image cannot be written.
     #[error(transparent)]
     Image(#[from] ExrError),

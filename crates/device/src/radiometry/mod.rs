@@ -20,5 +20,6 @@ pub mod plane;
 mod rate;
 pub mod response;
 pub mod sensor;
+pub mod single_frames;
 pub mod stack;
 mod written_time;
