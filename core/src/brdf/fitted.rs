@@ -101,7 +101,9 @@ fn discrepancies(csv: &str) -> Result<[Discrepancy; 3], String> {
     }
     if rows.len() != discrepancy::NODES {
         let (found, nodes) = (rows.len(), discrepancy::NODES);
-        return Err(format!("{found} rows, one for each of {nodes} nodes are needed"));
+        return Err(format!(
+            "{found} rows, one for each of {nodes} nodes are needed"
+        ));
     }
     let mut values = [0; 3].map(|_| DVector::zeros(discrepancy::NODES));
     for (k, (row, node)) in rows.iter().zip(discrepancy::nodes()).enumerate() {

@@ -21,8 +21,9 @@ pub(super) fn for_workflow(error: &WorkflowError) -> Option<String> {
         NothingValid { .. } => FOR_INVALID_IMAGES,
         Implausible { source, .. } => for_implausible(source),
         Kernel(_) => "`--kernel auto` takes the fastest that it has",
-        HoldOut(HoldOutError::TooFew { .. }) => "capture the sample under more lights",
-        HoldOut(_) => "without --hold-out and --fit-lights a quarter of the lights is predicted",
+        HoldOut(HoldOutError::Count { .. } | HoldOutError::NoSuchLight { .. }) => {
+            "without --hold-out and --fit-lights a quarter of the lights is predicted"
+        }
         UnusedUncertainty => "add --refine-bench, or leave --uncertainty out",
         Memory(error) => return Some(for_memory(error)),
         _ => return None,

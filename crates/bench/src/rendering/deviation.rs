@@ -75,7 +75,13 @@ mod tests {
         // The deviation of 0.4, 0.5, 0.6 is 0.1.
         let expected = 0.1 * 3.0 / std::f32::consts::PI;
         let middle = found[0][8 * 4 + 4][1];
-        assert!((middle / expected - 1.0).abs() < 0.01, "{middle} {expected}");
-        assert_eq!(deviations(&scene, &[of(0.5)], &options, &())[0][0], [0.0; 3]);
+        assert!(
+            (middle / expected - 1.0).abs() < 0.01,
+            "{middle} {expected}"
+        );
+        assert_eq!(
+            deviations(&scene, &[of(0.5)], &options, &())[0][0],
+            [0.0; 3]
+        );
     }
 }

@@ -89,7 +89,9 @@ impl Sums {
             relative_rms: relative(self.error),
             noise: relative(self.noise),
             lambertian: relative(self.lambertian),
-            neighbours: self.neighbours.and_then(|[error, captured]| ratio(error, captured)),
+            neighbours: self
+                .neighbours
+                .and_then(|[error, captured]| ratio(error, captured)),
         }
     }
 }

@@ -81,7 +81,8 @@ impl PosteriorRecord {
             .split_once("'<f4', 'fortran_order': False, 'shape': (")
             .and_then(|(_, rest)| rest.split_once(')'))
             .map(|(shape, _)| shape.split(", ").map(str::parse::<usize>));
-        let shape: Option<Vec<usize>> = shape.and_then(|shape| shape.collect::<Result<_, _>>().ok());
+        let shape: Option<Vec<usize>> =
+            shape.and_then(|shape| shape.collect::<Result<_, _>>().ok());
         let Some(&[samples, 3, columns]) = shape.as_deref() else {
             return Err(wrong("header", "'<f4' of shape (samples, 3, values)"));
         };
@@ -93,13 +94,21 @@ impl PosteriorRecord {
             return Err(out_of_range(path, "number of bytes", data.len(), &allowed));
         }
         let (values, _) = data.as_chunks::<4>();
-        let values: Vec<f32> = values.iter().map(|&four| f32::from_le_bytes(four)).collect();
+        let values: Vec<f32> = values
+            .iter()
+            .map(|&four| f32::from_le_bytes(four))
+            .collect();
         if values.iter().any(|value| !value.is_finite()) {
-            return Err(out_of_range(path, "a value", "not finite", "a finite number"));
+            return Err(out_of_range(
+                path,
+                "a value",
+                "not finite",
+                "a finite number",
+            ));
         }
-        let rows = values.chunks_exact(3 * columns).map(|sample| {
-            [0, 1, 2].map(|c| sample[c * columns..(c + 1) * columns].to_vec())
-        });
+        let rows = values
+            .chunks_exact(3 * columns)
+            .map(|sample| [0, 1, 2].map(|c| sample[c * columns..(c + 1) * columns].to_vec()));
         Ok(Self {
             samples: rows.collect(),
         })
