@@ -10,9 +10,9 @@ use crate::progress::Progress;
 use crate::session::fit_record::{FitRecord, Warning};
 use crate::workflow::{Notice, Observer};
 
-/// Phases of a fit as the library names them, and the part of its time that is over when each
+/// Phases of a fit, and of a prediction after it, as the library names them, and the part of its time that is over when each
 /// begins; a first, quick solution comes before the one on all paths.
-const PHASES: [(&str, f64); 10] = [
+const PHASES: [(&str, f64); 11] = [
     ("direct reflection", 0.0),
     ("tracing paths", 0.06),
     ("optimising", 0.14),
@@ -23,6 +23,7 @@ const PHASES: [(&str, f64); 10] = [
     ("diagnosis", 0.88),
     ("scoring", 0.9),
     ("longer paths", 0.96),
+    ("predicting", 0.98),
 ];
 /// Part of the time that the rounds of a refinement take, and their number until it settles,
 /// usually.

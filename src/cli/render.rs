@@ -18,6 +18,13 @@ pub struct RenderArgs {
     /// Image to write; with several lights X.exr becomes X_L000.exr, X_L001.exr, …
     #[arg(long, value_name = "EXR")]
     out: PathBuf,
+    /// Material of this fit instead of [brdf]: its folder, or a session, whose latest is taken
+    #[arg(long, value_name = "DIR")]
+    fit: Option<PathBuf>,
+    /// Also writes the standard deviation of each pixel over the fit's posterior samples, as R, G,
+    /// B of an image that is numbered as --out
+    #[arg(long, value_name = "EXR")]
+    deviation: Option<PathBuf>,
     /// Light paths per pixel, 2 to 1000000
     #[arg(long, value_name = "N", default_value_t = RenderOptions::default().samples_per_pixel, value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     spp: u32,
@@ -40,6 +47,8 @@ pub struct RenderArgs {
 #[derive(serde::Serialize)]
 struct Answer {
     images: Vec<String>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    deviations: Vec<String>,
     polarised: bool,
     max_reflections: u32,
     /// Light that longer paths would bring, per lamp.
@@ -60,12 +69,17 @@ impl Progress for Rows<'_> {
 
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
-    check_ending(&args.out, "exr")?;
+    let outputs = [Some(&args.out), args.deviation.as_ref()];
+    for out in outputs.into_iter().flatten() {
+        check_ending(out, "exr")?;
+    }
     let request = RenderRequest {
         samples_per_pixel: args.spp,
         max_reflections: args.max_reflections,
         seed: args.seed,
         polarised: args.polarised,
+        fit: args.fit.clone(),
+        deviation: args.deviation.clone(),
         ..RenderRequest::new(&args.scene, &args.out)
     };
     // Before the work, what is wrong with the scene, and whether the result can be written.
@@ -74,20 +88,17 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     if let Some(found) = &rendering.coarse_facets {
         context.warn(remark_on_facets(found));
     }
-    let folder = args
-        .out
-        .parent()
-        .filter(|p| !p.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        return Err(
-            CliError::new(format!("{} is not a folder", folder.display()))
-                .hint("create it first, or choose another --out"),
-        );
+    for out in outputs.into_iter().flatten() {
+        let folder = out.parent().filter(|p| !p.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new("."));
+        if !folder.is_dir() {
+            let fact = format!("{} is not a folder", folder.display());
+            return Err(CliError::new(fact).hint("create it first, or choose another file"));
+        }
+        check_writable(out)?;
     }
-    check_writable(&args.out)?;
     // The work.
-    let bar = context.bar(rendering.scene.camera.resolution_px[1] as u64, "rows");
+    let bar = context.bar(rendering.rows() as u64, "rows");
     let rendered = rendering.run(&Rows(&bar));
     bar.finish_and_clear();
     let rendered = rendered.map_err(advise)?;
@@ -105,18 +116,24 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         let shown = |path: &PathBuf| path.display().to_string();
         return write_json(&Answer {
             images: rendered.images.iter().map(shown).collect(),
+            deviations: rendered.deviations.iter().map(shown).collect(),
             polarised: rendered.polarised,
             max_reflections: args.max_reflections,
             truncation: rendered.truncation,
         });
     }
-    rendered.images.iter().try_for_each(|path| write_path(path))
+    let written = rendered.images.iter().chain(&rendered.deviations);
+    written.into_iter().try_for_each(|path| write_path(path))
 }
 
 fn advise(error: RenderError) -> CliError {
     match error {
         RenderError::NoBrdf { .. } => CliError::from(error)
-            .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"),
+            .hint("a scene that is rendered needs a [brdf] table (mixture, dictionary with weights, table, or fit), or --fit"),
+        RenderError::NoFit => CliError::from(error)
+            .hint("name one by --fit, or by `fit` of the scene's [brdf]"),
+        RenderError::NoSamples { .. } => CliError::from(error).hint("fit anew, which writes them"),
+        RenderError::Fit(error) => error.into(),
         RenderError::Polarisation(_) => CliError::from(error)
             .hint("polarised light needs a [brdf] of GGX, Lambertian and black atoms, for known bodies too"),
         RenderError::Config(error) => error.into(),

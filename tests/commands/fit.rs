@@ -558,7 +558,8 @@ fn a_light_that_was_not_fitted_is_predicted() {
     let stderr = String::from_utf8_lossy(&refused.stderr);
     assert_eq!(refused.status.code(), Some(1));
     assert!(
-        stderr.contains("2 of 2 lights are to be predicted; allowed are 1 to 1"),
+        stderr.contains("2 of 2 lights are to be predicted; allowed are 1 to 1")
+            && stderr.contains("a quarter of the lights is predicted"),
         "{stderr}"
     );
 }

@@ -25,6 +25,7 @@
 //! | [`Mixture`] | weights of a dictionary per channel |
 //! | [`discrepancy::Material`] | a mixture and by what a material differs from it: what a fit reports |
 //! | [`TabulatedBrdf`], [`merl`], [`rgl`], [`nbrdf`] | measured materials |
+//! | [`fitted::read`] | what a fit left |
 //! | [`source::load`] | any of these by name or file |
 //! | [`score`], [`sphere`], [`environment`] | errors between BRDFs, and the pictures behind them |
 //! | [`plain_error`] | the same as albedo and height of the peak |
@@ -64,6 +65,7 @@ pub mod discrepancy;
 pub mod energy;
 pub mod environment;
 pub mod evaluator;
+pub mod fitted;
 pub mod ggx;
 pub mod half_difference;
 pub mod in_span;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::reflectance::BrdfSpec;
 use super::scene::SceneFile;
 use super::view::{BodySpec, SampleSpec, SurfaceSpec};
-use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
+use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, fitted, source, weights};
 use crate::geometry::{Mesh, MeshError, Shape};
 use crate::transport::{Body, Camera, Light, Scene, Shading};
 
@@ -103,6 +103,10 @@ impl BrdfSpec {
             BrdfSpec::Dictionary { dictionary, .. } => {
                 load_dictionary(dictionary)?.atoms().to_vec()
             }
+            BrdfSpec::Fit(folder) => {
+                let material = fitted::read(folder)?;
+                material.mixture.dictionary().atoms().to_vec()
+            }
             BrdfSpec::Table(_) => Vec::new(),
         })
     }
@@ -120,6 +124,7 @@ impl BrdfSpec {
                 dictionary,
                 weights: file,
             } => Arc::new(weights::read(file, Arc::new(load_dictionary(dictionary)?))?),
+            BrdfSpec::Fit(folder) => Arc::new(fitted::read(folder)?),
             BrdfSpec::Table(path) => source::load(&path.display().to_string())?.into(),
         })
     }

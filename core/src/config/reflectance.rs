@@ -20,6 +20,8 @@ pub enum BrdfSpec {
     },
     /// A measured table: MERL (`.binary`) or RGL (`.bsdf`).
     Table(PathBuf),
+    /// The folder of a fit, as `rig fit` leaves it.
+    Fit(PathBuf),
 }
 
 /// A closed form and how much of it.
@@ -42,8 +44,9 @@ impl BrdfSpec {
             .name_or_path("dictionary", &Dictionary::NAMES)?
             .optional();
         let file = table.path("table")?.optional();
-        let spec = match (mixture, dictionary, file) {
-            (Some(atoms), None, None) => {
+        let fit = table.path("fit")?.optional();
+        let spec = match (mixture, dictionary, file, fit) {
+            (Some(atoms), None, None, None) => {
                 let atoms: Vec<_> = atoms
                     .into_iter()
                     .map(WeightedAtom::read)
@@ -57,17 +60,20 @@ impl BrdfSpec {
                 }
                 Self::Mixture(atoms)
             }
-            (None, Some(dictionary), None) => Self::Dictionary {
+            (None, Some(dictionary), None, None) => Self::Dictionary {
                 dictionary,
                 weights: table.path("weights")?.required()?,
             },
-            (None, None, Some(path)) => Self::Table(path),
-            (None, None, None) => {
-                return Err(table.missing("mixture", "a list of atoms, or `dictionary` or `table`"));
+            (None, None, Some(path), None) => Self::Table(path),
+            (None, None, None, Some(folder)) => Self::Fit(folder),
+            (None, None, None, None) => {
+                let needed = "a list of atoms, or `dictionary`, `table` or `fit`";
+                return Err(table.missing("mixture", needed));
             }
             _ => {
-                let many = "next to `dictionary` or `table`";
-                return Err(table.conflict("mixture", many, "one of the three alone"));
+                let many = "not alone";
+                let one = "one of `mixture`, `dictionary`, `table` and `fit`";
+                return Err(table.conflict("mixture", many, one));
             }
         };
         table.finish()?;

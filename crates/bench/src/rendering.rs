@@ -1,27 +1,39 @@
 //! Mean and variance images of a scene file.
 
+mod deviation;
+
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::brdf::discrepancy::Material;
 use crate::brdf::{Atom, Brdf, BrdfError};
 use crate::config::BuildError;
 use crate::config::ConfigError;
+use crate::config::reflectance::BrdfSpec;
 use crate::config::scene::SceneFile;
 use crate::geometry::Mesh;
 use crate::progress::Progress;
+use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{self, ExrError};
+use crate::session::fit_record::{self, FitRecordError};
 use crate::transport::polarised::NotPolarisable;
 use crate::transport::{
     Remainder, RenderOptions, Scene, Steering, render_polarised, render_with_progress,
     suited_proposal, truncation_remainder,
 };
 
+pub use deviation::deviations;
+
 /// What to render, and where to.
 #[derive(Clone, Debug)]
 pub struct RenderRequest {
     /// Scene file with a `[brdf]`.
     pub scene: PathBuf,
+    /// The folder of a fit, or a session, whose latest is taken: its material instead of `[brdf]`.
+    pub fit: Option<PathBuf>,
+    /// Where to write the standard deviation over the fit's posterior samples, numbered as `out`.
+    pub deviation: Option<PathBuf>,
     /// Image to write; with several lights `X.exr` becomes `X_L000.exr`, `X_L001.exr`, ….
     pub out: PathBuf,
     /// Light paths per pixel, 2 or more.
@@ -40,6 +52,8 @@ impl RenderRequest {
         let options = RenderOptions::default();
         Self {
             scene: scene.to_owned(),
+            fit: None,
+            deviation: None,
             out: out.to_owned(),
             samples_per_pixel: options.samples_per_pixel,
             max_reflections: options.max_reflections,
@@ -64,6 +78,18 @@ pub enum RenderError {
         /// The file.
         path: PathBuf,
     },
+    /// The fit.
+    #[error(transparent)]
+    Fit(#[from] FitRecordError),
+    /// A deviation of a material that is no fit.
+    #[error("the material is no fit, so that no posterior samples say how sure it is")]
+    NoFit,
+    /// A fit without samples.
+    #[error("{} has no posterior samples: it drew none, or an earlier version made it", fit.display())]
+    NoSamples {
+        /// Its folder.
+        fit: PathBuf,
+    },
     /// The BRDF could not be loaded.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
@@ -84,6 +110,7 @@ pub struct Rendering {
     /// Facets that are too coarse for the material's highlight.
     pub coarse_facets: Option<CoarseFacets>,
     brdf: Arc<dyn Brdf>,
+    samples: Vec<Material>,
     request: RenderRequest,
 }
 
@@ -92,6 +119,8 @@ pub struct Rendering {
 pub struct Rendered {
     /// One per light.
     pub images: Vec<PathBuf>,
+    /// One per light where deviations were asked for: standard deviations as R, G, B.
+    pub deviations: Vec<PathBuf>,
     /// Whether polarisation was followed.
     pub polarised: bool,
     /// Light that longer paths would bring, per light.
@@ -108,22 +137,46 @@ impl Rendering {
     /// A file that cannot be read, or a scene without a BRDF.
     pub fn load(request: &RenderRequest) -> Result<Self, RenderError> {
         let file = SceneFile::load(&request.scene)?;
-        let Some(brdf) = &file.brdf else {
+        let spec = request.fit.clone().map(BrdfSpec::Fit);
+        let Some(spec) = spec.as_ref().or(file.brdf.as_ref()) else {
             return Err(RenderError::NoBrdf {
                 path: request.scene.clone(),
             });
         };
         let scene = file.scene()?;
+        let mut samples = Vec::new();
+        let (atoms, brdf) = match spec {
+            BrdfSpec::Fit(folder) => {
+                let record = fit_record::find(folder)?;
+                if request.deviation.is_some() {
+                    samples = record.sampled_materials(usize::MAX)?;
+                    if samples.len() < 2 {
+                        let fit = folder.clone();
+                        return Err(RenderError::NoSamples { fit });
+                    }
+                }
+                let atoms = record.mixture()?.dictionary().atoms().to_vec();
+                (atoms, record.material()?)
+            }
+            _ if request.deviation.is_some() => return Err(RenderError::NoFit),
+            other => (other.atoms()?, other.load()?),
+        };
         Ok(Self {
-            coarse_facets: CoarseFacets::of(&scene, &brdf.atoms()?),
-            brdf: brdf.load()?,
+            coarse_facets: CoarseFacets::of(&scene, &atoms),
+            brdf,
+            samples,
             scene,
             file,
             request: request.clone(),
         })
     }
 
-    /// Renders and writes the images; the steps of its progress are rows of pixels.
+    /// Rows of pixels that are rendered: the steps of the progress.
+    pub fn rows(&self) -> usize {
+        self.scene.camera.resolution_px[1] * (1 + self.samples.len())
+    }
+
+    /// Renders and writes the images; the steps of its progress are [`Self::rows`].
     ///
     /// # Errors
     /// A material whose polarisation is not known, or an image that cannot be written.
@@ -144,21 +197,39 @@ impl Rendering {
         };
         let samples = TRUNCATION_SAMPLES.min(request.samples_per_pixel);
         let truncation = truncation_remainder(scene, brdf, &options, samples);
-        let mut written = Vec::new();
-        for (light, image) in images.iter().enumerate() {
-            let path = match images.len() {
-                1 => request.out.clone(),
-                _ => numbered(&request.out, light),
-            };
-            exr::write(&path, image)?;
-            written.push(path);
-        }
+        let deviations = match &request.deviation {
+            Some(out) => {
+                let found = deviations(scene, &self.samples, &options, progress);
+                let images = found.into_iter().map(|deviations| {
+                    let [width, height] = scene.camera.resolution_px;
+                    let mut image = RadianceImage::new(width, height);
+                    image.mean = deviations;
+                    image
+                });
+                written(out, &images.collect::<Vec<_>>())?
+            }
+            None => Vec::new(),
+        };
         Ok(Rendered {
-            images: written,
+            images: written(&request.out, &images)?,
+            deviations,
             polarised,
             truncation,
         })
     }
+}
+
+/// Writes one image per light; their paths.
+fn written(out: &Path, images: &[RadianceImage]) -> Result<Vec<PathBuf>, ExrError> {
+    let write = |(light, image)| {
+        let path = match images.len() {
+            1 => out.to_owned(),
+            _ => numbered(out, light),
+        };
+        exr::write(&path, image)?;
+        Ok(path)
+    };
+    images.iter().enumerate().map(write).collect()
 }
 
 fn numbered(path: &Path, light: usize) -> PathBuf {

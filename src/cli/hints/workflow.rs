@@ -4,7 +4,7 @@ use super::{FOR_INVALID_IMAGES, for_implausible};
 use crate::cells::BUDGET;
 use crate::cli::preflight;
 use crate::inverse::memory::TooLittleMemory;
-use crate::workflow::WorkflowError;
+use crate::workflow::{HoldOutError, WorkflowError};
 
 /// The advice that the wrapper itself has; what it wraps is asked after it.
 pub(super) fn for_workflow(error: &WorkflowError) -> Option<String> {
@@ -21,6 +21,9 @@ pub(super) fn for_workflow(error: &WorkflowError) -> Option<String> {
         NothingValid { .. } => FOR_INVALID_IMAGES,
         Implausible { source, .. } => for_implausible(source),
         Kernel(_) => "`--kernel auto` takes the fastest that it has",
+        HoldOut(HoldOutError::Count { .. } | HoldOutError::NoSuchLight { .. }) => {
+            "without --hold-out and --fit-lights a quarter of the lights is predicted"
+        }
         UnusedUncertainty => "add --refine-bench, or leave --uncertainty out",
         Memory(error) => return Some(for_memory(error)),
         _ => return None,

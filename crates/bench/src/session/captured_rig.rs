@@ -104,7 +104,7 @@ fn scene_paths(config: &mut RigConfig) -> Vec<(String, &mut PathBuf)> {
         let mut add = |what: &str, path| add(&mut files, &format!("{body_name}-{what}"), path);
         match &mut body.brdf {
             BrdfSpec::Mixture(_) => {}
-            BrdfSpec::Table(path) => add("brdf", path),
+            BrdfSpec::Table(path) | BrdfSpec::Fit(path) => add("brdf", path),
             BrdfSpec::Dictionary {
                 dictionary,
                 weights,

@@ -6,6 +6,7 @@
 //! | `fit.toml` | verdict, dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
 //! | `discrepancy.csv` | the model discrepancy: ln of f over the mixture's, over (θh, θd); only where the images give evidence of one |
+//! | `posterior.npy` | posterior samples: 32 rows of weights and discrepancies per channel; fits of earlier versions lack it |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
@@ -23,6 +24,7 @@ pub mod example;
 mod find;
 mod folder;
 pub mod lookup;
+mod posterior;
 mod tables;
 mod verdict;
 
@@ -51,12 +53,14 @@ pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,
 };
+pub use posterior::PosteriorRecord;
 pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
+const POSTERIOR_FILE: &str = "posterior.npy";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -206,6 +210,14 @@ pub struct FitRecord {
     /// where the images give no evidence of any.
     #[serde(default, with = "amplitude")]
     pub discrepancy: Option<DiscrepancyRecord>,
+    /// Posterior samples; `None` where none were drawn, and in fits of earlier versions.
+    #[serde(
+        default,
+        rename = "posterior_samples",
+        skip_serializing_if = "Option::is_none",
+        with = "count"
+    )]
+    pub posterior: Option<PosteriorRecord>,
     /// How it was run.
     pub settings: FitSettings,
     /// Versions of the program and of what it ran on, by name.
@@ -269,6 +281,27 @@ mod amplitude {
     }
 }
 
+/// Posterior samples as `fit.toml` has them: their number. Their values are a file.
+mod count {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    use super::PosteriorRecord;
+
+    pub fn serialize<S: Serializer>(
+        posterior: &Option<PosteriorRecord>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.serialize_u64(posterior.as_ref().map_or(0, |p| p.samples.len() as u64))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<PosteriorRecord>, D::Error> {
+        let count = u32::deserialize(deserializer)?;
+        Ok((count != 0).then(PosteriorRecord::default))
+    }
+}
+
 impl FitRecord {
     /// Of a mixture of which nothing else is known.
     pub fn of_mixture(mixture: &Mixture) -> Self {
@@ -286,6 +319,7 @@ impl FitRecord {
             truncation_remainder: Vec::new(),
             outlier_fraction: Vec::new(),
             discrepancy: None,
+            posterior: None,
             termination: String::new(),
             trace: Vec::new(),
             timings: Vec::new(),
@@ -316,13 +350,17 @@ impl FitRecord {
     /// # Errors
     /// Atoms that the program doesn't know or whose parameters are out of range.
     pub fn mixture(&self) -> Result<Mixture, BrdfError> {
+        Mixture::new(self.dictionary()?, self.weights.clone())
+    }
+
+    fn dictionary(&self) -> Result<Arc<Dictionary>, BrdfError> {
         let atoms: Option<Vec<Atom>> = self.atoms.iter().map(AtomRecord::atom).collect();
         let atoms = atoms.ok_or_else(|| BrdfError::Dictionary {
             name: self.dictionary.clone(),
             fact: "an atom is of an unknown kind or lacks a parameter".to_owned(),
         })?;
         let dictionary = Dictionary::new(self.dictionary.clone(), atoms)?;
-        Mixture::new(Arc::new(dictionary), self.weights.clone())
+        Ok(Arc::new(dictionary))
     }
 
     /// The worst reduced χ² of all lights and channels; `None` without any.
@@ -457,6 +495,10 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     if let Some((key, value)) = record.budget.as_ref().and_then(BudgetRecord::bad_value) {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
+    }
+
+    if let Some(posterior) = &record.posterior {
+        posterior.check(&folder.join(POSTERIOR_FILE), record.atoms.len())?;
     }
 
     // The model discrepancy and its table.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::cell_images::{MemoryRows, Rows, Source};
 use super::fit_plan::FitPlan;
+use super::fit_run::Run;
 use super::notice::{Notice, Observer};
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
@@ -134,7 +135,9 @@ fn fit<R: Rows>(
     let remarks = remarks_on(&sources, observer);
     check_scene(scene, DescribedIn::Scene, &file.sample.surface, observer)?;
     let captured = plan.average(scene, sources)?;
-    let (mut record, fit) = plan.run(scene, &captured, false, None, observer)?;
+    let Run {
+        mut record, fit, ..
+    } = plan.run(scene, &captured, false, None, observer)?;
     record.remarks.extend(remarks);
     Ok((record, FitImages::from(&fit.comparison)))
 }

@@ -12,19 +12,27 @@ use crate::transport::{RenderOptions, Scene, truncation_remainder};
 /// Paths per pixel that the estimate of the truncated light takes.
 const TRUNCATION_SAMPLES: u32 = 32;
 
+/// A fit, and its record.
+pub(super) struct Run {
+    pub record: FitRecord,
+    pub fit: Fit,
+    /// The scene on the bench as refined, where that was asked for.
+    pub refined: Option<Scene>,
+}
+
 impl FitPlan {
     /// Fits and describes the result. `truth`: name and BRDF, where known.
     ///
     /// # Errors
     /// Too little memory, or equations without a solution.
-    pub fn run(
+    pub(super) fn run(
         &self,
         scene: &Scene,
         captured: &Captured,
         simulated: bool,
         truth: Option<(&str, &dyn Brdf)>,
         observer: &dyn Observer,
-    ) -> Result<(FitRecord, Fit), WorkflowError> {
+    ) -> Result<Run, WorkflowError> {
         let mut remarks: Vec<String> = scene.remarks().iter().map(ToString::to_string).collect();
         let mut remark = |text: String| {
             observer.notice(Notice::Remark(&text));
@@ -41,7 +49,7 @@ impl FitPlan {
         let (atoms, refines_bench) = (dictionary.len(), self.priors.is_some());
         let options =
             &fit_memory::bounded(&self.options, size, atoms, refines_bench, self.memory_mib)?;
-        let (fit, bench) = match &self.priors {
+        let (fit, refined) = match &self.priors {
             None => (
                 fit_with_progress(scene, captured, dictionary, options, observer)?,
                 None,
@@ -51,7 +59,7 @@ impl FitPlan {
                 let refined =
                     refine_bench(scene, captured, dictionary, options, priors, &how, observer)?;
                 let fit = refined.fit(dictionary, options, observer)?;
-                (fit, Some(refined.estimate))
+                (fit, Some((refined.estimate, refined.scene)))
             }
         };
         if fit.samples[0] < fit.samples[1] {
@@ -72,6 +80,7 @@ impl FitPlan {
         };
         let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
+        let (bench, refined) = refined.unzip();
         record.bench = bench.as_ref().map(BenchRecord::from);
         record.warnings = warnings::of_fit(&fit, &record);
         record.remarks = remarks;
@@ -81,6 +90,10 @@ impl FitPlan {
                 amplitude: fit.discrepancy,
             });
         }
-        Ok((record, fit))
+        Ok(Run {
+            record,
+            fit,
+            refined,
+        })
     }
 }

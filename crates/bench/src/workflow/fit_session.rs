@@ -150,10 +150,10 @@ fn fit_captured(
 
     // The fit, and what the session adds to what is to be known of it.
     let scene = &prepared.scene;
-    let (mut fit, found) =
-        prepared
-            .plan
-            .run(scene, &captured, record.simulated, truth, observer)?;
+    let run = prepared
+        .plan
+        .run(scene, &captured, record.simulated, truth, observer)?;
+    let (mut fit, found) = (run.record, run.fit);
     if prepared.is_scale_described {
         fit.remarks.push(Notice::ScaleAsDescribed.to_string());
     }

@@ -10,7 +10,8 @@ use crate::brdf::{Brdf, Mixture};
 use crate::inverse::{Fit, intervals};
 use crate::scores::score;
 use crate::session::fit_record::{
-    AngleTable, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, Timing, TracePoint,
+    AngleTable, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, PosteriorRecord, Timing,
+    TracePoint,
 };
 
 /// The record of a fit by `plan`, still without warnings, remarks, bench and truncated light.
@@ -79,6 +80,7 @@ pub(super) fn of_fit(
         versions: BTreeMap::from([("rig".to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
         score,
         table: AngleTable::of(fit),
+        posterior: PosteriorRecord::of(fit),
         budget: BudgetRecord::of(fit),
         ..FitRecord::of_mixture(mixture)
     })

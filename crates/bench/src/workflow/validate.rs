@@ -7,6 +7,7 @@ use std::path::Path;
 use super::cell_images::{assume_noise, read_mask};
 use super::fit_images::{remarks_on, sources_of};
 use super::fit_plan::FitPlan;
+use super::fit_run::Run;
 use super::fit_session::prepared;
 use super::notice::Observer;
 use super::scene_check::check_scene;
@@ -226,8 +227,21 @@ fn validate(
     let sources = sources.into_iter().enumerate();
     let of_part = sources.filter(|(light, _)| fitted.contains(light));
     let captured = plan.average(&part, of_part.map(|(_, source)| source).collect())?;
-    let (mut record, fit) = plan.run(&part, &captured, false, None, observer)?;
+    let Run {
+        mut record,
+        fit,
+        refined,
+    } = plan.run(&part, &captured, false, None, observer)?;
     record.remarks.extend(remarks);
+
+    // The sample where the refined bench has it, under all lights. Those that were not fitted
+    // could not be refined.
+    let refined = refined.map(|mut refined| {
+        refined.lights.clone_from(&scene.lights);
+        refined.falloffs.clone_from(&scene.falloffs);
+        refined
+    });
+    let scene = refined.as_ref().unwrap_or(scene);
 
     // The pixels, and what else predicts them.
     let mask = plan.mask.as_deref();
@@ -247,9 +261,8 @@ fn validate(
     let mut neighbours = Neighbours::of(&seen);
 
     // The prediction of the rest.
-    let cache = &plan.options.cache;
     let rest = under(scene, &held_out);
-    let predicted = predict(&rest, &fit, cache.max_reflections, cache.seed, observer)?;
+    let predicted = predict(&rest, &fit.material, &record, observer)?;
     let has_intervals = predicted.samples > 1;
     let (mut all, mut lights) = (Tally::default(), Vec::new());
     let mut predictions = Vec::new();

@@ -89,16 +89,16 @@ pub(super) fn compared(
     image: &RadianceImage,
     mask: Option<&[bool]>,
 ) -> (Vec<Pixel>, LeftOut) {
-    let (mut pixels, mut left_out) = (Vec::new(), LeftOut::default());
     let strength = scene.lights[light].strength();
-    for &index in sample {
+    let pixel = |index: usize| -> Result<Pixel, LeftOut> {
+        let mut left_out = LeftOut::default();
         if mask.is_some_and(|mask| !mask[index]) {
-            left_out.masked += 1;
-            continue;
+            left_out.masked = 1;
+            return Err(left_out);
         }
         if !image.valid[index] || image.mean[index].iter().any(|value| !value.is_finite()) {
-            left_out.invalid += 1;
-            continue;
+            left_out.invalid = 1;
+            return Err(left_out);
         }
         let ray = scene
             .camera
@@ -108,16 +108,24 @@ pub(super) fn compared(
             (lit.to_light.z > LEAST_COSINE).then_some((lit, to_viewer))
         });
         let Some((lit, to_viewer)) = lit else {
-            left_out.unlit += 1;
-            continue;
+            left_out.unlit = 1;
+            return Err(left_out);
         };
         let angles = HalfDifference::from_directions(lit.to_light.as_dvec3(), to_viewer.as_dvec3());
-        pixels.push(Pixel {
+        Ok(Pixel {
             index,
             theta_h_rad: angles.theta_h_rad,
             theta_d_rad: angles.theta_d_rad,
             irradiance: strength.map(|strength| strength * f64::from(lit.irradiance)),
-        });
+        })
+    };
+    let found: Vec<_> = sample.par_iter().map(|&index| pixel(index)).collect();
+    let (mut pixels, mut left_out) = (Vec::with_capacity(found.len()), LeftOut::default());
+    for found in found {
+        match found {
+            Ok(pixel) => pixels.push(pixel),
+            Err(one) => left_out += one,
+        }
     }
     (pixels, left_out)
 }

@@ -17,8 +17,8 @@ pub struct RegionScore {
     pub noise: Option<f64>,
     /// Of a Lambertian, by least squares over the same fitted lights, direct light alone.
     pub lambertian: Option<f64>,
-    /// Of the fitted lights' values at the nearest (θh, θd), direct light alone; `None` where
-    /// too few lights were fitted.
+    /// Of the fitted lights' values at the nearest (θh, θd), direct light alone, over the pixels
+    /// that have any; `None` where too few lights were fitted.
     pub neighbours: Option<f64>,
 }
 
@@ -63,7 +63,8 @@ struct Sums {
     error: f64,
     noise: f64,
     lambertian: f64,
-    neighbours: Option<f64>,
+    /// Of the pixels that have neighbours: their error, and captured.
+    neighbours: Option<[f64; 2]>,
 }
 
 impl Sums {
@@ -74,18 +75,23 @@ impl Sums {
         self.noise += other.noise;
         self.lambertian += other.lambertian;
         if let Some(more) = other.neighbours {
-            *self.neighbours.get_or_insert(0.0) += more;
+            let [error, captured] = self.neighbours.get_or_insert_default();
+            *error += more[0];
+            *captured += more[1];
         }
     }
 
     fn score(&self) -> RegionScore {
-        let relative = |sum: f64| (self.captured > 0.0).then(|| (sum / self.captured).sqrt());
+        let ratio = |sum: f64, all: f64| (all > 0.0).then(|| (sum / all).sqrt());
+        let relative = |sum: f64| ratio(sum, self.captured);
         RegionScore {
             pixels: self.pixels,
             relative_rms: relative(self.error),
             noise: relative(self.noise),
             lambertian: relative(self.lambertian),
-            neighbours: self.neighbours.and_then(relative),
+            neighbours: self
+                .neighbours
+                .and_then(|[error, captured]| ratio(error, captured)),
         }
     }
 }
@@ -125,7 +131,7 @@ impl Tally {
             let variance = compared.captured.variance[pixel.index].map(f64::from);
             let predicted = compared.predicted.mean[pixel.index].map(f64::from);
             let of_paths = compared.predicted.variance[pixel.index].map(f64::from);
-            let near = neighbours.as_mut().map(|all| all.at(pixel));
+            let near = neighbours.as_mut().and_then(|all| all.at(pixel));
             let mut sums = Sums {
                 pixels: 1,
                 ..Sums::default()
@@ -137,8 +143,9 @@ impl Tally {
                 sums.noise += variance[c];
                 sums.lambertian += to(compared.lambertian[c] * pixel.irradiance[c]);
                 if let Some(near) = near {
-                    let value = near.map_or(0.0, |near| near[c] * pixel.irradiance[c]);
-                    *sums.neighbours.get_or_insert(0.0) += to(value);
+                    let [error, all] = sums.neighbours.get_or_insert_default();
+                    *error += to(near[c] * pixel.irradiance[c]);
+                    *all += captured[c] * captured[c];
                 }
                 if let Some(deviations) = compared.deviations {
                     let deviation = f64::from(deviations[pixel.index][c]);

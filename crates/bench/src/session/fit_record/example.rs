@@ -69,6 +69,11 @@ pub fn fit() -> FitRecord {
             by_channel: [0.1, -0.2, 0.0]
                 .map(|g| Discrepancy(nalgebra::DVector::from_element(discrepancy::NODES, g))),
         }),
+        posterior: Some(PosteriorRecord {
+            samples: [0.25, 0.5]
+                .map(|first| [0, 1, 2].map(|_| vec![first, 0.25, 0.75 - first]))
+                .to_vec(),
+        }),
         termination: "the step changed no weight by more than 1e-6".to_owned(),
         trace: vec![TracePoint {
             step: 0,

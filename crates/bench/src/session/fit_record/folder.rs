@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DISCREPANCY_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, Verdict, check,
-    out_of_range, tables,
+    DISCREPANCY_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, POSTERIOR_FILE,
+    PosteriorRecord, Verdict, check, out_of_range, tables,
 };
 use crate::file_system;
 use crate::outside_file::read_regular;
@@ -69,6 +69,9 @@ pub fn encode(
     if let Some(discrepancy) = &record.discrepancy {
         let text = tables::discrepancy_to_csv(&discrepancy.by_channel);
         files.push((DISCREPANCY_FILE.to_owned(), text.into_bytes()));
+    }
+    if let Some(posterior) = &record.posterior {
+        files.push((POSTERIOR_FILE.to_owned(), posterior.to_npy()));
     }
     for (name, text) in [
         ("weights.csv", tables::weights_to_csv(record)),
@@ -223,6 +226,10 @@ pub fn parse(
     if let Some(discrepancy) = &mut record.discrepancy {
         let (path, csv) = text(DISCREPANCY_FILE)?;
         discrepancy.by_channel = tables::discrepancy_from_csv(&path, &csv)?;
+    }
+    if let Some(posterior) = &mut record.posterior {
+        let path = folder.join(POSTERIOR_FILE);
+        *posterior = PosteriorRecord::from_npy(&path, &load(&path, POSTERIOR_FILE)?)?;
     }
     let (path, csv) = text("trace.csv")?;
     record.trace = tables::trace_from_csv(&path, &csv)?;

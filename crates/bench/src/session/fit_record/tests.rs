@@ -113,6 +113,33 @@ fn a_corrupted_file_is_named_with_its_key() {
     }
 }
 
+#[test]
+fn posterior_samples_are_an_array_of_numpy() {
+    let (_home, folder) = written();
+    let path = folder.join("posterior.npy");
+    let bytes = std::fs::read(&path).unwrap();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3, 3), }";
+    assert_eq!(&bytes[10..10 + header.len()], header.as_bytes());
+    assert_eq!((bytes.len() - 2 * 3 * 3 * 4) % 64, 0);
+
+    let sampled = read(&folder).unwrap().sampled_materials(16).unwrap();
+    assert_eq!(sampled.len(), 2);
+    assert_eq!(sampled[1].mixture.weights()[2], [0.5, 0.25, 0.25]);
+
+    for bad in [&b"text"[..], &bytes[..bytes.len() - 1], &bytes[..20]] {
+        std::fs::write(&path, bad).unwrap();
+        let error = read(&folder).unwrap_err().to_string();
+        assert!(error.contains("posterior.npy"), "{error}");
+    }
+    // A fit of an earlier version has none.
+    std::fs::remove_file(&path).unwrap();
+    let toml = folder.join("fit.toml");
+    let text = std::fs::read_to_string(&toml).unwrap();
+    std::fs::write(&toml, text.replace("posterior_samples = 2\n", "")).unwrap();
+    let old = read(&folder).unwrap();
+    assert!(old.sampled_materials(16).unwrap().is_empty());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -136,6 +163,7 @@ proptest! {
             record.weights[channel] = raw.iter().map(|(weight, ..)| weight / sum).collect();
             record.weight_deviations[channel] = raw.iter().map(|(_, sd, _)| *sd).collect();
         }
+        record.posterior = None;
         record.loss = loss;
         record.termination = termination;
         record.reduced_chi_square = chi2;

@@ -1,0 +1,128 @@
+//! The material of a fit, from the folder that the fit left.
+
+use std::io::ErrorKind;
+use std::path::Path;
+use std::sync::Arc;
+
+use nalgebra::DVector;
+
+use super::discrepancy::{self, Discrepancy, Material};
+use super::{Atom, BrdfError, Dictionary, LARGEST_TEXT_BYTES, Mixture, weights};
+use crate::outside_file::read_text;
+use crate::outside_table::{self, Row};
+use crate::shown::excerpt;
+
+/// Weights and atoms of a fit.
+const WEIGHTS_FILE: &str = "weights.csv";
+/// Its model discrepancy; absent where there is none.
+const DISCREPANCY_FILE: &str = "discrepancy.csv";
+
+/// Reads the material of a fit's folder: the mixture of `weights.csv`, whose atoms are those of
+/// the file, with the model discrepancy of `discrepancy.csv` where that is there.
+///
+/// # Errors
+/// No such file, or one that is no such table.
+pub fn read(folder: &Path) -> Result<Material, BrdfError> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        read_text(&path, LARGEST_TEXT_BYTES).map_err(|source| BrdfError::Io { path, source })
+    };
+    let damaged = |name: &str| {
+        let path = folder.join(name);
+        move |fact: String| BrdfError::File { path, fact }
+    };
+    let csv = text(WEIGHTS_FILE)?;
+    let wrong = damaged(WEIGHTS_FILE);
+    let read = atoms(&csv).and_then(|atoms| {
+        let name = folder.display().to_string();
+        let dictionary = Dictionary::new(name, atoms).map_err(|error| error.to_string())?;
+        let weights = weights::parse(&csv, &dictionary)?;
+        Mixture::new(Arc::new(dictionary), weights).map_err(|error| error.to_string())
+    });
+    let mixture = read.map_err(wrong)?;
+    match text(DISCREPANCY_FILE) {
+        Ok(csv) => {
+            let by_channel = discrepancies(&csv).map_err(damaged(DISCREPANCY_FILE))?;
+            Ok(Material::new(mixture, &by_channel))
+        }
+        Err(BrdfError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
+            Ok(mixture.into())
+        }
+        Err(error) => Err(error),
+    }
+}
+
+type Table = (Row, Vec<Row>);
+
+fn table(csv: &str) -> Result<Table, String> {
+    let mut rows = outside_table::rows(csv).map_err(|error| error.to_string())?;
+    match rows.is_empty() {
+        true => Err("the file is empty".to_owned()),
+        false => Ok((rows.remove(0), rows)),
+    }
+}
+
+fn column(header: &Row, name: &str) -> Result<usize, String> {
+    header
+        .column(name)
+        .ok_or_else(|| format!("no column {name}"))
+}
+
+/// The atoms that the rows name, in their order.
+fn atoms(csv: &str) -> Result<Vec<Atom>, String> {
+    let (header, rows) = table(csv)?;
+    let kind = column(&header, "kind")?;
+    let parameters = ["alpha", "eta", "albedo"].map(|name| header.column(name));
+    let atom = |row: &Row| {
+        let kind = row.field(kind);
+        let [alpha, eta, albedo] =
+            parameters.map(|column| outside_table::number(row.field(column?)).ok());
+        Atom::from_parts(kind, alpha, eta, albedo).ok_or_else(|| {
+            let (line, kind) = (row.line, excerpt(kind));
+            format!("line {line}: {kind} with these parameters is no atom")
+        })
+    };
+    rows.iter().map(atom).collect()
+}
+
+/// The values at the nodes, which the rows name in order.
+fn discrepancies(csv: &str) -> Result<[Discrepancy; 3], String> {
+    let (header, rows) = table(csv)?;
+    let mut columns = [0; 5];
+    let names = [
+        "theta_h_deg",
+        "theta_d_deg",
+        "ln_factor_r",
+        "ln_factor_g",
+        "ln_factor_b",
+    ];
+    for (column_of, name) in columns.iter_mut().zip(names) {
+        *column_of = column(&header, name)?;
+    }
+    if rows.len() != discrepancy::NODES {
+        let (found, nodes) = (rows.len(), discrepancy::NODES);
+        return Err(format!(
+            "{found} rows, one for each of {nodes} nodes are needed"
+        ));
+    }
+    let mut values = [0; 3].map(|_| DVector::zeros(discrepancy::NODES));
+    for (k, (row, node)) in rows.iter().zip(discrepancy::nodes()).enumerate() {
+        let mut numbers = [0.0; 5];
+        for (value, column) in numbers.iter_mut().zip(columns) {
+            *value = outside_table::number(row.field(column))
+                .map_err(|error| format!("line {}: {error}", row.line))?;
+        }
+        let [theta_h_deg, theta_d_deg, of_channels @ ..] = numbers;
+        if [theta_h_deg, theta_d_deg] != [node.theta_h_deg, node.theta_d_deg] {
+            let fact = "is not the node that belongs there";
+            return Err(format!(
+                "line {}: {theta_h_deg}, {theta_d_deg} {fact}",
+                row.line
+            ));
+        }
+        for (values, value) in values.iter_mut().zip(of_channels) {
+            values[k] = value;
+        }
+    }
+    Ok(values.map(Discrepancy))
+}
