@@ -60,3 +60,6 @@ fn counted<'a>(attendant: &'a dyn Attendant, of: u32) -> impl FnMut() + 'a {
         attendant.progress(done, u64::from(of));
     }
 }
+
+#[cfg(test)]
+mod tests;
