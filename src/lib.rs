@@ -37,7 +37,7 @@ pub use rig_core::{
 #[cfg(feature = "figures")]
 pub use rig_bench::plot;
 pub use rig_bench::{
-    beneath, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session,
+    beneath, calibrating, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session,
     shell_words, simulation, workflow,
 };
 #[cfg(feature = "console")]

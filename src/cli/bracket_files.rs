@@ -57,14 +57,6 @@ fn checked(
     Ok(bracket.files)
 }
 
-/// A picture of any colours; of `size` (pixels per row, rows) where that is known.
-pub(super) fn read_picture(
-    path: &Path,
-    size: Option<[usize; 2]>,
-) -> Result<image::DynamicImage, CliError> {
-    bracket_files::read_picture(path, size).map_err(advised)
-}
-
 /// What to do about files that do not make a bracket.
 pub(super) fn advised(error: BracketError) -> CliError {
     use Problem::*;

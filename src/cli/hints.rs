@@ -4,6 +4,7 @@
 
 #[cfg(feature = "reports")]
 mod batch;
+mod calibrate;
 mod capture;
 mod device;
 #[cfg(feature = "experiments")]
@@ -18,6 +19,7 @@ use rustix::io::Errno;
 
 #[cfg(feature = "reports")]
 use batch::for_batch;
+use calibrate::for_calibrating;
 use capture::{for_open, for_prepare};
 use device::for_device;
 #[cfg(feature = "experiments")]
@@ -82,6 +84,7 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_reproducibility),
     |error| of_type(error, for_config),
     |error| of_type(error, for_record),
+    |error| of_type(error, for_calibrating),
     |error| of_type(error, for_session),
     |error| of_type(error, for_archive),
     |error| of_type(error, for_images),

@@ -46,7 +46,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-fn assert_refused(name: &str, folder: &Path, arguments: &[&str], fact: &str) {
+fn assert_refused(name: &str, folder: &Path, arguments: &[&str], fact: &str) -> String {
     let before = files(folder);
     let output = rig(folder, arguments);
     let stderr = String::from_utf8(output.stderr).unwrap();
@@ -54,6 +54,7 @@ fn assert_refused(name: &str, folder: &Path, arguments: &[&str], fact: &str) {
     assert!(stderr.contains(fact), "{name}: {stderr}");
     assert!(stderr.contains("\n\nhint: "), "{name}: {stderr}");
     assert!(files(folder) == before, "{name}: a file has changed");
+    stderr
 }
 
 #[test]
@@ -77,12 +78,28 @@ fn a_light_or_a_sensor_that_does_not_suit_is_named() {
         let folder = workplace(&[change]);
         let name = format!("{command}, {name}");
         let arguments = ["calibrate", command, "--rig", "rig.toml", "--frames", "4"];
-        assert_refused(&name, folder.path(), &arguments, fact);
+        let said = assert_refused(&name, folder.path(), &arguments, fact);
+        let advice = "a steady, uniform light that saturates it";
+        assert!(said.contains(advice), "{name}: {said}");
     }
     // A record of another camera is no ground for a flat field.
     let folder = workplace(&[("SIM-0001", "SIM-0009")]);
     let arguments = ["calibrate", "flat", "--rig", "rig.toml", "--frames", "4"];
     assert_refused("other camera", folder.path(), &arguments, "SIM-0001");
+    // Neither is none, and a record needs its folder.
+    let folder = workplace(&[("name = \"simulated\"", "name = \"other\"")]);
+    let said = assert_refused("none", folder.path(), &arguments, "no sensor record");
+    assert!(said.contains("run `rig calibrate sensor` first"), "{said}");
+    let nowhere = [
+        "calibrate",
+        "sensor",
+        "--rig",
+        "rig.toml",
+        "--out",
+        "rig.toml/x",
+    ];
+    let said = assert_refused("no folder", folder.path(), &nowhere, "rig.toml/x: ");
+    assert!(said.contains("records are kept there"), "{said}");
 }
 
 #[test]
@@ -158,6 +175,32 @@ fn brackets_that_do_not_fit_together_are_named() {
             .unwrap();
         path
     };
+    png("a_1s.png", 8);
+    png("b_2s.png", 10);
+    // Nor do frames of a linear camera, or parts that no frame has, give a response.
+    let response = ["calibrate", "response", "--rig", "rig.toml"];
+    let frames = ["a_1s.png", "b_2s.png"];
+    let said = assert_refused(
+        "16 bits",
+        folder.path(),
+        &[&response[..], &frames].concat(),
+        "a response is of 8",
+    );
+    let advice = "cameras that give more bits are linear";
+    assert!(said.contains(advice), "{said}");
+    for name in frames {
+        let eight = image::GrayImage::new(8, 8);
+        eight.save(folder.path().join(name)).unwrap();
+    }
+    let outside = ["--region", "4,4,8,8"];
+    let said = assert_refused(
+        "part outside",
+        folder.path(),
+        &[&response[..], &frames, &outside].concat(),
+        "not inside the 8 x 8 frames",
+    );
+    let advice = "takes first column, first row, columns and rows";
+    assert!(said.contains(advice), "{said}");
     png("a_1s.png", 8);
     png("b_2s.png", 10);
     let whole = std::fs::read(png("c_2s.png", 8)).unwrap();

@@ -257,12 +257,18 @@ fn the_lamp_is_watched_and_a_failure_keeps_the_old_record() {
     let output = rig(at).args(lamp).args(["--id", "two"]).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("still warming up"), "{stderr}");
+    for part in ["still warming up", "let the lamp cool, put a white card"] {
+        assert!(stderr.contains(part), "{stderr}");
+    }
     let records = std::fs::read_dir(at.join("calibration/simulated/lamp")).unwrap();
     assert_eq!(records.count(), 1);
-    let wrong = rig(at)
-        .args(["calibrate", "lamp", "--minutes", "1"])
-        .output()
-        .unwrap();
-    assert_eq!(wrong.status.code(), Some(1));
+    for (wrong, advice) in [
+        (["--minutes", "1"], "it must be a number from 2 to 240"),
+        (["--channel", "7"], "its channels are 0 to 2"),
+    ] {
+        let output = rig(at).args(&lamp[..2]).args(wrong).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(stderr.contains(advice), "{stderr}");
+    }
 }

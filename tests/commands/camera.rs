@@ -104,8 +104,24 @@ fn a_lens_is_measured_and_kept() {
     };
     let records = at.join("calibration/simulated/camera");
     for (views, further, fact, advice) in [
-        (&all[..], ["--squares", "9,8"], "shows a board", "squares"),
-        (&all[..2], ["--squares", "10,8"], "2 views", "whole board"),
+        (
+            &all[..],
+            ["--squares", "9,8"],
+            "shows a board",
+            "counts squares along each side of the board",
+        ),
+        (
+            &all[..2],
+            ["--squares", "10,8"],
+            "2 views",
+            "the whole board, evenly lit",
+        ),
+        (
+            &all[..1],
+            ["--squares", "2,8"],
+            "must be",
+            "correct the value; nothing was kept",
+        ),
         (&["rig.toml"], ["--squares", "10,8"], "rig.toml", "PNG"),
     ] {
         let refused = command(views, &further);

@@ -474,7 +474,7 @@ fn the_simulated_sensor_with_its_shipped_records_gives_unit_pulls() {
 
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let rig = rig::config::RigConfig::load(&root.join("rig-configs/simulated.toml")).unwrap();
-    let truth = rig::cli::calibrate::simulated_sensor(&rig).unwrap();
+    let truth = rig.simulation.as_ref().unwrap().sensor.clone();
     let sensor = SensorModel::new(truth.clone());
     let library = Library::Folder(root.join("calibration/simulated"));
     let record = library.load::<SensorValues>(None).unwrap().unwrap();

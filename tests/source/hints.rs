@@ -193,6 +193,28 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "give the new record another id",
         "two records of one second",
     ),
+    // Lenses that views of a board do not determine: `crates/bench/src/calibration/camera`.
+    (
+        "add views with the board in the corners",
+        "a board in the middle alone",
+    ),
+    ("tilt the board by 20 to 40 degrees", "boards of one tilt"),
+    (
+        "the board must be flat and stand still",
+        "a board that is not flat",
+    ),
+    (
+        "use fewer terms: --distortion radial",
+        "a lens that folds the image",
+    ),
+    (
+        "name with --datum a view in which the whole board",
+        "a datum that shows a part of the board",
+    ),
+    (
+        "`rig session verify` says whether the session is whole",
+        "a session of no image",
+    ),
     // Fits: `rig fit` on a machine, or with a session, that no test makes.
     (
         "free some memory or use a larger machine",

@@ -12,6 +12,7 @@ use rig_core::{
 use rig_device::{device, interrupt, radiometry};
 
 pub mod beneath;
+pub mod calibrating;
 pub mod calibration;
 pub mod capture;
 pub mod catalogue;

@@ -2,17 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-
-use super::target::{CommonArgs, Target};
+use super::target::CommonArgs;
+#[cfg(feature = "figures")]
+use super::target::noted;
 use super::white::parse_region;
+use crate::calibration::depth_of_field;
 use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::slanted_edge::{
-    EdgeError, FocusRequest, FocusValues, check_counts, measure,
-};
+use crate::calibration::slanted_edge::{EdgeError, FocusRequest, check_counts, measure};
 use crate::calibration::white::Region;
-use crate::calibration::{Library, depth_of_field};
-use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::workflow::session_images;
@@ -57,13 +54,6 @@ fn within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, Strin
     }
 }
 
-#[derive(Serialize)]
-struct FocusReport<'a> {
-    record: String,
-    #[serde(flatten)]
-    values: &'a FocusValues,
-}
-
 pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     let wanted = args.heights.len();
     check_counts(args.input.len(), args.region.len(), wanted).map_err(advised)?;
@@ -89,8 +79,8 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     let (edges, found, values) = measure(&request).map_err(advised)?;
     // The record.
     let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
-    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .measured_from(names.join(", "), rig.config.camera.resolution_px);
+    let place = args.common.place(&rig, context)?;
+    let place = place.measured_from(names.join(", "), rig.config.camera.resolution_px);
     let method = format!(
         "profiles of {wanted} slanted edge(s) at heights from {} to {} mm",
         args.heights.iter().copied().fold(f64::INFINITY, f64::min),
@@ -99,13 +89,12 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             .copied()
             .fold(f64::NEG_INFINITY, f64::max)
     );
-    let path = target.add(values.clone(), &method, &[])?;
+    let kept = place.keep(values.clone(), &method, &[])?;
     #[cfg(feature = "figures")]
-    target.draw(
-        &crate::calibration::slanted_edge::figure(&edges, &found),
-        &path,
-        context,
-    )?;
+    let kept = {
+        let figure = crate::calibration::slanted_edge::figure(&edges, &found);
+        noted(place.draw(kept, &figure)?, context)
+    };
     let spread = values.point_spread_px;
     context.note(format_args!(
         "point spread {:.3} ± {:.3} px",
@@ -130,13 +119,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             "focus and aperture stay as the rig file has them: edges at three heights determine them",
         ),
     }
-    if args.common.json {
-        return write_json(&FocusReport {
-            record: path.display().to_string(),
-            values: &values,
-        });
-    }
-    write_path(&path)
+    args.common.show(&kept, &values)
 }
 
 fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {

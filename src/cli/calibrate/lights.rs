@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use serde::Serialize;
 
-use super::target::{CommonArgs, Target};
+use super::target::CommonArgs;
+#[cfg(feature = "figures")]
+use super::target::noted;
 use crate::calibration::Library;
 use crate::calibration::directions::DirectionsValues;
 #[cfg(feature = "figures")]
@@ -16,7 +18,6 @@ use crate::calibration::mirror_sphere::lights::{
 use crate::calibration::mirror_sphere::outline::Stated;
 use crate::calibration::mirror_sphere::{Circle, Grey, Sphere, SphereError};
 use crate::calibration::stage_directions::StageFitError;
-use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
 use crate::device::kinematics::Kinematics;
@@ -79,7 +80,6 @@ struct SphereReport {
 
 #[derive(Serialize)]
 struct LightsReport<'a> {
-    record: String,
     spheres: Vec<SphereReport>,
     values: &'a DirectionsValues,
 }
@@ -150,21 +150,21 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         ));
     }
     // The record.
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.measurement.source = pictures.source;
+    let mut place = args.common.place(&rig, context)?;
+    place.measurement.source = pictures.source;
     let method = format!(
         "highlights of {} lights on {} mirror sphere(s) of radius {} mm",
         lights.len(),
         spheres.len(),
         args.radius
     );
-    let path = target.add(values.clone(), &method, &[])?;
+    let kept = place.keep(values.clone(), &method, &[])?;
     #[cfg(feature = "figures")]
-    target.draw(
-        &figures::light_directions(geometry, &pictures.angles, &lights, stage.as_ref()),
-        &path,
-        context,
-    )?;
+    let kept = {
+        let angles = &pictures.angles;
+        let figure = figures::light_directions(geometry, angles, &lights, stage.as_ref());
+        noted(place.draw(kept, &figure)?, context)
+    };
     if let Some(stage) = &values.stage {
         let [x, y, z] = stage.rotation_deg;
         context.note(format_args!(
@@ -179,14 +179,11 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             distance.value, distance.std
         ));
     }
-    if args.common.json {
-        return write_json(&LightsReport {
-            record: path.display().to_string(),
-            spheres: spheres.iter().map(sphere_report).collect(),
-            values: &values,
-        });
-    }
-    write_path(&path)
+    let report = LightsReport {
+        spheres: spheres.iter().map(sphere_report).collect(),
+        values: &values,
+    };
+    args.common.show(&kept, &report)
 }
 
 fn sphere_report(sphere: &Sphere) -> SphereReport {

@@ -14,14 +14,8 @@ mod status;
 mod target;
 mod white;
 
-use clap::Subcommand;
-use indicatif::ProgressBar;
-
 use super::{CliError, Context};
-use crate::calibration::procedure::ProcedureOptions;
-use crate::config::CameraConfig;
-
-pub use light::simulated_sensor;
+use clap::Subcommand;
 
 /// Measures the bench and keeps what it finds as records
 #[derive(clap::Args, Debug)]
@@ -95,17 +89,4 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Focus(args) => focus::run(args, context),
         What::Status(args) => status::run(args, context),
     }
-}
-
-fn procedure_options(camera: &CameraConfig, frames: u32) -> ProcedureOptions {
-    ProcedureOptions {
-        gain: camera.gain,
-        frames,
-        discard: camera.settings_latency_frames + 1,
-        ..ProcedureOptions::default()
-    }
-}
-
-fn progress(context: &Context, frames: u32) -> ProgressBar {
-    ProgressBar::with_draw_target(Some(u64::from(frames)), context.draw_target())
 }

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::rotation;
-use super::target::{CommonArgs, Target};
-use crate::calibration::Library;
+use super::target::CommonArgs;
+#[cfg(feature = "figures")]
+use super::target::noted;
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, find};
+use crate::calibration::record::Kind;
 use crate::calibration::rotation::RotationTest;
-use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
 use crate::workflow::{BenchRecords, session_images};
 
@@ -43,10 +44,9 @@ fn fraction(text: &str) -> Result<f64, String> {
 }
 
 #[derive(Serialize)]
-struct PoseReport {
-    record: String,
+struct PoseReport<'a> {
     #[serde(flatten)]
-    values: PoseValues,
+    values: &'a PoseValues,
     /// Rounds that were taken, and whether the last step was short.
     rounds: usize,
     settled: bool,
@@ -121,8 +121,8 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
     // The record.
     let values = PoseValues::new(&found);
     let source = format!("session {}", args.session.display());
-    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .measured_from(source, session.config.camera.resolution_px);
+    let place = args.common.place(&rig, context)?;
+    let place = place.measured_from(source, session.config.camera.resolution_px);
     let method = format!(
         "edges of {} patches in {} images, {} rounds",
         values.patches,
@@ -139,13 +139,12 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
             norm(values.translation_mm)
         ));
     }
-    let path = target.add(values.clone(), &method, &[])?;
+    let kept = place.keep(values.clone(), &method, &[])?;
     #[cfg(feature = "figures")]
-    target.draw(
-        &crate::calibration::pose::figure(&found, scene.camera.resolution_px),
-        &path,
-        context,
-    )?;
+    let kept = {
+        let figure = crate::calibration::pose::figure(&found, scene.camera.resolution_px);
+        noted(place.draw(kept, &figure)?, context)
+    };
     if !found.settled {
         context.warn("the last step was not short: the uncertainty may be too small".to_owned());
     }
@@ -159,18 +158,13 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         "use it with `rig fit {} --pose {}`; for further captures with the sample untouched set \
          pose = \"{}\" in the rig file's [calibration]",
         args.session.display(),
-        path.display(),
-        target
-            .measurement
-            .id(crate::calibration::record::Kind::Pose)
+        kept.record.display(),
+        place.measurement.id(Kind::Pose)
     ));
-    if args.common.json {
-        return write_json(&PoseReport {
-            record: path.display().to_string(),
-            values,
-            rounds: found.rounds,
-            settled: found.settled,
-        });
-    }
-    write_path(&path)
+    let report = PoseReport {
+        values: &values,
+        rounds: found.rounds,
+        settled: found.settled,
+    };
+    args.common.show(&kept, &report)
 }

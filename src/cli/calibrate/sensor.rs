@@ -1,19 +1,12 @@
 //! `rig calibrate sensor`: photon transfer.
 
-use serde::Serialize;
-
-use super::light::{LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, open_camera};
-use super::target::{CommonArgs, Target};
-use super::{procedure_options, progress};
-use crate::calibration::Library;
-#[cfg(feature = "figures")]
-use crate::calibration::figures;
-use crate::calibration::procedure::{Bench, ProcedureOptions};
-use crate::calibration::record::{Kind, SensorValues};
-use crate::calibration::sensor::TransferPoint;
-use crate::calibration::sensor::emva1288::Emva1288;
-use crate::cli::output::{write_json, write_path};
-use crate::cli::{CliError, Context, HintExt};
+use super::light::Terminal;
+use super::target::{CommonArgs, noted};
+use crate::calibrating::SensorRequest;
+use crate::calibration::procedure::ProcedureOptions;
+#[cfg(feature = "reports")]
+use crate::calibration::record::Kind;
+use crate::cli::{CliError, Context, open};
 #[cfg(feature = "reports")]
 use crate::report::sensor_page::SensorPage;
 
@@ -26,89 +19,36 @@ pub(super) struct SensorArgs {
     frames: u32,
 }
 
-#[derive(Serialize)]
-struct SensorReport<'a> {
-    record: String,
-    values: &'a SensorValues,
-    reduced_chi2: f64,
-    emva1288: &'a Emva1288,
-    curve: Vec<CurvePoint>,
-}
-
-#[derive(Serialize)]
-struct CurvePoint {
-    exposure_s: f64,
-    counted_dn: f64,
-    signal_dn: f64,
-    variance_dn2: f64,
-    variance_std_dn2: f64,
-    fitted: bool,
-}
-
-impl From<&TransferPoint> for CurvePoint {
-    fn from(point: &TransferPoint) -> Self {
-        Self {
-            exposure_s: point.exposure_s,
-            counted_dn: point.counted_dn,
-            signal_dn: point.signal_dn,
-            variance_dn2: point.variance_dn2,
-            variance_std_dn2: point.variance_std_dn2,
-            fitted: point.fitted,
-        }
-    }
-}
-
 pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    let options = procedure_options(&rig.config.camera, args.frames);
-    let mut camera = open_camera(&rig.config, UNIFORM_RADIANCE)?;
-    let info = camera.info().clone();
-    let bit_depth = info.bit_depth;
-    let width = info.resolution_px[0] as usize;
-    let bar = progress(context, Bench::photon_transfer_frames(&options));
-    let transfer = Bench::new(camera.as_mut(), options, &mut ask_to_cover, &mut || {
-        bar.inc(1);
-    })
-    .photon_transfer()
-    .hint(LIGHT_HINT)?;
-    bar.finish_and_clear();
-    target.measurement.settings.sensor_c = camera.temperature_c();
-    let fit = transfer.solve(width, bit_depth).hint(LIGHT_HINT)?;
-    let levels = fit.curve.len();
-    let method = format!(
-        "photon transfer (EMVA 1288), {levels} exposures of {} frames, reduced chi-square {:.3}",
-        args.frames, fit.reduced_chi2
-    );
-    let id = target.measurement.id(Kind::Sensor);
-    let (dark, maps) = fit.dark.to_values(width, &id)?;
-    let values = SensorValues {
-        dark_pattern: Some(dark),
-        ..fit.values.clone()
+    let mut place = args.common.place(&rig, context)?;
+    let request = SensorRequest {
+        rig: &rig.config,
+        frames: args.frames,
+        open: &open::of_port()?,
     };
-    let maps = maps
-        .each_ref()
-        .map(|(file, bytes)| (file.as_str(), bytes.as_slice()));
-    let path = target.add(values, &method, &maps)?;
-    #[cfg(feature = "figures")]
-    target.draw(&figures::photon_transfer(&fit), &path, context)?;
-    let emva1288 = transfer.emva1288(&fit, rig.config.camera.mosaic);
+    let terminal = Terminal::new(context);
+    let measured = request.measure(&terminal)?;
+    terminal.finish();
+    let fit = &measured.fit;
+    let kept = noted(measured.keep(&mut place)?, context);
     #[cfg(feature = "reports")]
-    target.put_page(
-        &SensorPage {
+    {
+        let info = &measured.info;
+        let page = SensorPage {
             camera: format!("{} {}", info.model, info.serial).trim().to_owned(),
             simulated: rig.config.is_simulated(),
-            record: id,
-            method,
-            date: target.measurement.date.to_string(),
-            settings: target.measurement.settings,
-            fit: &fit,
-            figures: &emva1288,
+            record: place.measurement.id(Kind::Sensor),
+            method: measured.method.clone(),
+            date: place.measurement.date.to_string(),
+            settings: place.measurement.settings,
+            fit,
+            figures: &measured.emva1288,
+        };
+        if let Some(path) = place.beside(&kept, "html", page.render()?.as_bytes())? {
+            context.note(format_args!("EMVA 1288 figures: {}", path.display()));
         }
-        .render()?,
-        &path,
-        context,
-    )?;
+    }
     let v = &fit.values;
     context.note(format_args!(
         "gain {:.4} ± {:.4} DN/e⁻, read noise {:.3} ± {:.3} e⁻, black level {:.2} DN, \
@@ -125,14 +65,5 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         100.0 * v.linearity_residual.unwrap_or(v.linearity_error),
         v.hot_pixels.len(),
     ));
-    if !args.common.json {
-        return write_path(&path);
-    }
-    write_json(&SensorReport {
-        record: path.display().to_string(),
-        values: v,
-        reduced_chi2: fit.reduced_chi2,
-        emva1288: &emva1288,
-        curve: fit.curve.iter().map(CurvePoint::from).collect(),
-    })
+    args.common.show(&kept, &measured.report())
 }

@@ -5,12 +5,10 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::target::{CommonArgs, Target};
-use crate::calibration::Library;
+use super::target::CommonArgs;
 use crate::calibration::record::{LightsValues, Measured};
 use crate::calibration::white::{Region, WhiteStandard, irradiance};
 use crate::calibration::white_lights::{LightIntensity, WhiteLights};
-use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
 use crate::radiance_image::exr;
 use crate::workflow::{BenchRecords, session_images};
@@ -90,7 +88,6 @@ pub(super) fn parse_region(text: &str) -> Result<Region, String> {
 
 #[derive(Serialize)]
 struct WhiteReport<'a> {
-    record: String,
     irradiance_w_m2: [Measured; 3],
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     lights: &'a [LightIntensity],
@@ -126,8 +123,8 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         incidence_std_rad: args.incidence_std.to_radians(),
     };
     let found = irradiance(&image, args.region.unwrap_or(whole), &standard).hint(HINT)?;
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.measurement.source = args.source(&args.image.display().to_string());
+    let mut place = args.common.place(&rig, context)?;
+    place.measurement.source = args.source(&args.image.display().to_string());
     let method = format!(
         "diffuse standard of reflectance {} ± {} at {} degrees",
         args.reflectance, args.reflectance_std, args.incidence
@@ -136,21 +133,18 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         irradiance_w_m2: found,
         lights: Vec::new(),
     };
-    let path = target.add(values, &method, &[])?;
+    let kept = place.keep(values, &method, &[])?;
     let [red, green, blue] = found.map(|m| m.value);
     context.note(format_args!(
         "fits of later captures use an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², known \
          to {:.2}%",
         100.0 * found[0].std / found[0].value
     ));
-    if args.common.json {
-        return write_json(&WhiteReport {
-            record: path.display().to_string(),
-            irradiance_w_m2: found,
-            lights: &[],
-        });
-    }
-    write_path(&path)
+    let report = WhiteReport {
+        irradiance_w_m2: found,
+        lights: &[],
+    };
+    args.common.show(&kept, &report)
 }
 
 /// Intensity and evenness of every light of a session, with the mean irradiance.
@@ -222,15 +216,15 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         }),
         lights: found.lights,
     };
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.measurement.source = args.source(&format!("session {}", args.image.display()));
+    let mut place = args.common.place(&rig, context)?;
+    place.measurement.source = args.source(&format!("session {}", args.image.display()));
     let method = format!(
         "diffuse standard of reflectance {} ± {} under {} lights",
         args.reflectance,
         args.reflectance_std,
         values.lights.len()
     );
-    let path = target.add(values.clone(), &method, &[])?;
+    let kept = place.keep(values.clone(), &method, &[])?;
     let green = || values.lights.iter().map(|light| light.relative[1]);
     let (low, high) = green().fold((f64::INFINITY, 0.0f64), |(low, high), m| {
         (low.min(m.value), high.max(m.value))
@@ -240,12 +234,9 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
          their mean, known to {:.2}%, and by how unevenly each lights the sample",
         100.0 * green().map(|m| m.std / m.value).fold(0.0, f64::max)
     ));
-    if args.common.json {
-        return write_json(&WhiteReport {
-            record: path.display().to_string(),
-            irradiance_w_m2: values.irradiance_w_m2,
-            lights: &values.lights,
-        });
-    }
-    write_path(&path)
+    let report = WhiteReport {
+        irradiance_w_m2: values.irradiance_w_m2,
+        lights: &values.lights,
+    };
+    args.common.show(&kept, &report)
 }

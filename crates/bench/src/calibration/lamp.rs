@@ -2,6 +2,7 @@
 //! still scene that it lights.
 
 use nalgebra::{DMatrix, DVector, Matrix4, Vector4};
+use serde::{Serialize, Serializer};
 
 use super::record::{Flicker, LampValues, Measured};
 use crate::statistics::{STD_OVER_MAD, median};
@@ -27,12 +28,18 @@ pub struct Burst {
 }
 
 /// A lamp's calibration.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LampFit {
     /// What the record holds.
     pub values: LampValues,
     /// The levels, relative to the warm lamp.
+    #[serde(serialize_with = "pairs")]
     pub levels: Vec<LampLevel>,
+}
+
+/// Times and levels.
+fn pairs<S: Serializer>(levels: &[LampLevel], to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(levels.iter().map(|level| [level.time_s, level.level]))
 }
 
 /// Why levels do not make a calibration.

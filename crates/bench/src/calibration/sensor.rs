@@ -12,6 +12,8 @@ mod linearity;
 mod saturation;
 mod variance_line;
 
+use serde::Serialize;
+
 use self::darkness::Darkness;
 use self::linearity::{LinearLevel, LinearityFit};
 use self::saturation::Saturation;
@@ -109,11 +111,12 @@ struct Level {
 }
 
 /// One point of the curve, its linearity corrected.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TransferPoint {
     /// Exposure, seconds.
     pub exposure_s: f64,
     /// Which light.
+    #[serde(skip)]
     pub exposed: Exposed,
     /// Mean count above the black level, as counted, DN.
     pub counted_dn: f64,

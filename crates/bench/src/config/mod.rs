@@ -2,6 +2,7 @@
 //! whose reader, errors and scene files it shares and re-exports.
 
 mod build;
+pub mod calibration_light;
 pub mod camera;
 pub mod draft;
 pub mod fit;

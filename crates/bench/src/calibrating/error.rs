@@ -1,0 +1,129 @@
+//! Why a calibration made no record; facts only.
+
+use std::path::PathBuf;
+
+use crate::calibration::RecordError;
+use crate::calibration::camera::CameraError;
+use crate::calibration::flat::FlatError;
+use crate::calibration::lamp_watch::WatchError;
+use crate::calibration::noise::NoiseError;
+use crate::calibration::pixel_map::MapError;
+use crate::calibration::procedure::ProcedureError;
+use crate::calibration::sensor::SensorFitError;
+use crate::calibration::white::Region;
+use crate::capture::open::OpenError;
+use crate::radiance_image::exr::ExrError;
+use crate::radiometry::bracket_files::BracketError;
+use crate::radiometry::response::ResponseError;
+use crate::workflow::WorkflowError;
+
+/// A calibration made no record. A wrapped error shows its own text and is the `source`.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibratingError {
+    /// No record can be kept in the folder.
+    #[error("{}: {source}", folder.display())]
+    Folder {
+        /// The folder of the records.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A figure or page cannot be written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file or its folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The place of the records is in the program.
+    #[error("the built-in records cannot be added to")]
+    BuiltIn,
+    /// A figure cannot be drawn.
+    #[cfg(feature = "figures")]
+    #[error("{0}")]
+    Plot(#[from] crate::plot::PlotError),
+    /// A record cannot be read or written.
+    #[error("{0}")]
+    Record(#[from] RecordError),
+    /// A device cannot be opened.
+    #[error("{0}")]
+    Open(#[from] OpenError),
+    /// A session cannot be read.
+    #[error("{0}")]
+    Session(#[from] WorkflowError),
+    /// An image cannot be read.
+    #[error("{0}")]
+    Image(#[from] ExrError),
+    /// Frames cannot be read.
+    #[error("{0}")]
+    Frames(#[from] BracketError),
+
+    /// The frames of an even light cannot be taken.
+    #[error("{0}")]
+    Procedure(#[from] ProcedureError),
+    /// Frames of an even light do not determine the sensor.
+    #[error("{0}")]
+    Sensor(#[from] SensorFitError),
+    /// A map of what pixels do in the dark cannot be kept.
+    #[error("{0}")]
+    Map(#[from] MapError),
+    /// A sensor record gives no noise.
+    #[error("{0}")]
+    Noise(#[from] NoiseError),
+    /// A flat field cannot be kept.
+    #[error("{0}")]
+    Flat(#[from] FlatError),
+    /// A flat field needs the sensor's noise.
+    #[error("there is no sensor record in {place}")]
+    NoSensor {
+        /// Where it was looked for.
+        place: String,
+    },
+
+    /// The lamp cannot be watched.
+    #[error("{0}")]
+    Lamp(#[from] WatchError),
+    /// Another channel than the lamp has.
+    #[error("the lamp has no channel {channel}")]
+    NoChannel {
+        /// Which.
+        channel: u8,
+        /// How many it has.
+        channels: usize,
+    },
+
+    /// A bracket gives no response.
+    #[error("{0}")]
+    Response(#[from] ResponseError),
+    /// Frames of a linear camera.
+    #[error("{} has {bits} bits, and a response is of 8", path.display())]
+    Bits {
+        /// The frame.
+        path: PathBuf,
+        /// Its bits.
+        bits: u32,
+    },
+    /// A part of the frames that they do not have.
+    #[error(
+        "the region of {} x {} pixels at ({}, {}) is empty or not inside the {} x {} frames",
+        region.width, region.height, region.x, region.y, frame_px[0], frame_px[1]
+    )]
+    NotInside {
+        /// The part.
+        region: Region,
+        /// Columns and rows of the frames.
+        frame_px: [usize; 2],
+    },
+
+    /// Views of a board do not determine the lens.
+    #[error("{0}")]
+    Camera(#[from] CameraError),
+
+    /// A session that holds no image.
+    #[error("{} has no images", session.display())]
+    NoImages {
+        /// Its folder.
+        session: PathBuf,
+    },
+}
