@@ -235,7 +235,10 @@ impl Glare {
         let [[a, b], [_, d]] = self.covariance;
         let first = a.max(0.0).sqrt();
         let second = if first > 0.0 { b / first } else { 0.0 };
-        [[first, 0.0], [second, (d - second * second).max(0.0).sqrt()]]
+        [
+            [first, 0.0],
+            [second, (d - second * second).max(0.0).sqrt()],
+        ]
     }
 }
 

@@ -109,7 +109,7 @@ fn uniformly_lit(
     simulated_camera(camera, sensor, bench, Arc::new(sphere))
 }
 
-fn simulated_camera(
+pub(super) fn simulated_camera(
     camera: &CameraConfig,
     sensor: SensorConfig,
     bench: SimulatedBench,

@@ -153,6 +153,8 @@ pub struct CalibrationConfig {
     pub pose: Option<String>,
     /// Id of the record of the lens.
     pub camera: Option<String>,
+    /// Id of the record of the lens' veiling glare.
+    pub glare: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -170,7 +172,7 @@ impl CalibrationConfig {
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
         let (directions, pose, camera) = (id("directions")?, id("pose")?, id("camera")?);
-        let focus = id("focus")?;
+        let (focus, glare) = (id("focus")?, id("glare")?);
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -183,6 +185,7 @@ impl CalibrationConfig {
             focus,
             pose,
             camera,
+            glare,
         })
     }
 }

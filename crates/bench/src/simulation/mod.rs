@@ -6,6 +6,7 @@
 
 pub mod checkerboard;
 pub mod edge;
+pub mod glare_card;
 pub mod glossy_spheres;
 mod interreflection;
 pub mod photograph;
