@@ -360,10 +360,8 @@ impl Shares {
 
 #[cfg(test)]
 mod tests {
-    use mock_devices::glare::Glare as True;
-
     use super::*;
-    use crate::simulation::glare_card;
+    use crate::simulation::glare_card::{self, Glare as True};
 
     fn photograph(size: [usize; 2], glare: True) -> (Grey, Vec<Region>) {
         let (card, traps) = glare_card::card(size, [0.8, 0.001], glare);

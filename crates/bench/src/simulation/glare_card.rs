@@ -1,6 +1,6 @@
 //! A white card with two black traps through a lens with glare.
 
-use mock_devices::glare::Glare;
+pub use mock_devices::glare::Glare;
 
 /// The image of a card of this radiance whose traps reflect this part of it, row by row; and the
 /// regions inside the traps: first column, first row, columns, rows.
