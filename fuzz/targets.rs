@@ -272,7 +272,7 @@ fn record(bytes: &[u8]) {
     use rig::calibration::record::{
         FlatValues, LampValues, LightsValues, ResponseValues, ScaleValues, SensorValues,
     };
-    use rig::calibration::{camera, directions, parse_record, pose, slanted_edge};
+    use rig::calibration::{camera, directions, glare, parse_record, pose, slanted_edge};
     let text = String::from_utf8_lossy(bytes);
     let id = text
         .split("id = \"")
@@ -291,7 +291,11 @@ fn record(bytes: &[u8]) {
         LampValues
     );
     each!(directions::DirectionsValues, pose::PoseValues);
-    each!(slanted_edge::FocusValues, camera::CameraValues);
+    each!(
+        slanted_edge::FocusValues,
+        camera::CameraValues,
+        glare::GlareValues
+    );
 }
 
 fn environment(bytes: &[u8]) {

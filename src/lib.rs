@@ -37,8 +37,8 @@ pub use rig_core::{
 #[cfg(feature = "figures")]
 pub use rig_bench::plot;
 pub use rig_bench::{
-    beneath, calibrating, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session,
-    shell_words, simulation, workflow,
+    beneath, calibrating, calibration, capture, catalogue, checksum, config, fault, queue,
+    rendering, session, shell_words, simulation, workflow,
 };
 #[cfg(feature = "console")]
 pub use rig_console::console;

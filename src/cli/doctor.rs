@@ -21,6 +21,7 @@ use super::{hints, sharpness};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
+use crate::calibration::glare::GlareValues;
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
@@ -490,6 +491,7 @@ fn named(kind: Kind) -> (&'static str, &'static str) {
             "without it the rig file's point spread, focus and aperture are used",
         ),
         Kind::Pose => ("pose", "without it the sample lies as the rig file states"),
+        Kind::Glare => ("glare", "without it the lens is taken to scatter no light"),
         Kind::Camera => ("lens", "without it the lens is as the rig file states"),
         Kind::Lamp => ("lamp", "without it nobody knows how long it must warm up"),
     }
@@ -507,6 +509,11 @@ fn calibrations(rig: &ResolvedRig, library: &Library) -> Vec<Check> {
         record::<CameraValues>(rig, library.load(ids.camera.as_deref()), library),
         record::<FocusValues>(rig, library.load(ids.focus.as_deref()), library),
     ];
+    let glare = library.load::<GlareValues>(ids.glare.as_deref());
+    // A simulated lens may have none.
+    if !rig.config.is_simulated() || !matches!(glare, Ok(None)) {
+        checks.push(record::<GlareValues>(rig, glare, library));
+    }
     // A record that cannot be used has its own line.
     let Ok(records) = Records::load(library, &rig.config) else {
         return checks;

@@ -21,6 +21,7 @@ mod evaluate;
 mod export;
 mod fit;
 mod focus;
+mod glare;
 mod init;
 mod lights;
 mod merge;

@@ -202,6 +202,7 @@ fn interpolated_interreflection_is_that_of_paths_from_every_pixel() {
                 pose_error_mm: 0.0,
                 pose_error_deg: 0.0,
                 ambient_w_m2_sr: 0.0,
+                glare: Default::default(),
                 samples_per_pixel: 256,
                 max_reflections: 32,
                 seed,

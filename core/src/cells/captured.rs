@@ -16,6 +16,9 @@ pub struct Captured {
     pub cells: Arc<Cells>,
     /// One image for each light.
     pub images: Vec<CellImage>,
+    /// Errors that all values have in common: what one standard deviation of each changes them
+    /// by, `[error][light][cell]`.
+    pub common_errors: Vec<Vec<Vec<[f64; 3]>>>,
     /// Per cell: lights, as bits, near the edge of whose shadow it lies.
     pub edges: Vec<u64>,
     /// Pixels that were left out as hot, dead or dusty.
@@ -129,6 +132,7 @@ impl Captured {
         Self {
             cells: Arc::new(cells),
             images: images.iter().map(of_light).collect(),
+            common_errors: Vec::new(),
             edges,
             outliers: 0,
         }
@@ -349,6 +353,7 @@ impl Averager {
         Ok(Captured {
             cells: Arc::new(Cells::new(grid.resolution_px, cells)),
             images,
+            common_errors: Vec::new(),
             edges,
             outliers,
         })

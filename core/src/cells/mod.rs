@@ -9,6 +9,7 @@
 //! changes the radiance there by any amount.
 
 mod captured;
+pub mod glare;
 mod probe;
 
 use std::collections::BinaryHeap;

@@ -24,7 +24,7 @@ pub enum Source {
     Mesh,
     /// Directions of the lights.
     LightDirections,
-    /// Intensities of the lights with their common scale, and stray light.
+    /// Intensities of the lights with their common scale, stray light and glare.
     Intensities,
     /// Residuals beyond noise: what no mixture, mesh or cell of the model explains, and
     /// the least that is allowed for it.

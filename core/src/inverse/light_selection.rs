@@ -320,6 +320,7 @@ fn unknown_images(scene: &Scene, grid: Grid) -> Captured {
     };
     Captured {
         images: vec![none; scene.lights.len()],
+        common_errors: Vec::new(),
         cells: Arc::new(Cells::new(grid.resolution_px, grid.cells)),
         edges: grid.edges,
         outliers: 0,

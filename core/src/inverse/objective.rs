@@ -76,6 +76,8 @@ struct Values {
     target: Vec<Vec<[f64; 3]>>,
     /// Its variance.
     variance: Vec<Vec<[f64; 3]>>,
+    /// What one standard deviation of each error that all have in common changes them by.
+    common_errors: Vec<Vec<Vec<[f64; 3]>>>,
     /// Cells of each light that are compared.
     compared: Vec<Vec<bool>>,
 }
@@ -126,6 +128,14 @@ impl<'a> Objective<'a> {
                 .collect(),
             variance: images()
                 .map(|(light, image)| over_strength(&image.variance, light, 2))
+                .collect(),
+            common_errors: (captured.common_errors.iter())
+                .map(|error| {
+                    let lights = error.iter().enumerate();
+                    lights
+                        .map(|(light, of)| over_strength(of, light, 1))
+                        .collect()
+                })
                 .collect(),
             compared: (0..captured.images.len()).map(compared).collect(),
         };
@@ -396,7 +406,9 @@ impl<'a> Objective<'a> {
                                 .max(VARIANCE_FLOOR * self.near_variance(light, cell, c));
                             let model =
                                 (model_error[self.channels.group(c)] * intensity).powi(2) / area;
-                            let total = captured + rendered + model + stray_light[c];
+                            let errors = self.values.common_errors.iter();
+                            let common: f64 = errors.map(|e| e[light][cell][c].powi(2)).sum();
+                            let total = captured + rendered + model + stray_light[c] + common;
                             let robust_weight = robust_weight.as_ref().map_or(1.0, |t| t[cell][c]);
                             if total > 0.0 {
                                 robust_weight / total

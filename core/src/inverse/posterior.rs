@@ -124,6 +124,7 @@ pub(super) fn posterior(
     let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
         form::score_covariance(objective, scene, error, weights, mixture, &fitted, seed)
     });
+    let common = objective.common_error_covariance(mixture, weights);
     let draw = |bench: Option<&BenchCoupling>,
                 center: &[DVector<f64>],
                 pass: &Linearised,
@@ -131,6 +132,7 @@ pub(super) fn posterior(
         let adds = Adds {
             bench,
             form: &form,
+            common: &common,
             noise: &noise,
             discrepancy,
         };

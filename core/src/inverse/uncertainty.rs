@@ -61,6 +61,8 @@ pub struct Adds<'a> {
     pub bench: Option<&'a BenchCoupling>,
     /// Covariance that a surface adds which deviates from its mesh; empty where none is stated.
     pub form: &'a [DMatrix<f64>],
+    /// Covariance by errors that all values have in common; empty where there are none.
+    pub common: &'a [DMatrix<f64>],
     /// What capture and render make of the residual's own scatter; empty where unknown.
     pub noise: &'a [ScoreNoise],
     /// The model discrepancy; empty where there is none.
@@ -213,12 +215,17 @@ fn adjusted_likelihood(
     if let Some(form) = &form {
         scatter += form;
     }
+    let common = adds.common.get(group).map(whitened);
+    if let Some(common) = &common {
+        scatter += common;
+    }
     let budget = adds.noise.get(group).map(|noise| {
         let mut known = vec![
             (Source::CaptureNoise, whitened(&noise.captured)),
             (Source::RenderNoise, whitened(&noise.rendered)),
         ];
         known.extend(form.map(|form| (Source::Mesh, form)));
+        known.extend(common.map(|common| (Source::Intensities, common)));
         let of = |source: Source| {
             move |parameter: Parameter| match parameter {
                 Parameter::Rotation(_) | Parameter::Translation(_) => source == Source::Pose,

@@ -122,7 +122,8 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     args.common.show(&kept, &values)
 }
 
-fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {
+/// An image, of a file or of a session's light.
+pub(super) fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {
     if !path.is_dir() {
         return Ok(exr::read(path)?.image);
     }

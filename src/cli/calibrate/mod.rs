@@ -3,6 +3,7 @@
 mod camera;
 mod flat;
 mod focus;
+mod glare;
 mod lamp;
 mod light;
 mod lights;
@@ -71,6 +72,11 @@ enum What {
     /// camera's axis, at three heights or more over the depth of the sample. Fits of later
     /// captures use what is found.
     Focus(focus::FocusArgs),
+    /// Measures how much light the lens scatters over the image, from black traps on a white card
+    ///
+    /// A white card that fills the image, evenly lit, with one or two holes into deep boxes that
+    /// are black inside, a wide and a narrow one. Fits of later captures take the glare off.
+    Glare(glare::GlareArgs),
     /// Shows every record in force, with its age, reasons to doubt it and what to run
     Status(status::StatusArgs),
 }
@@ -87,6 +93,7 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Camera(args) => camera::run(args, context),
         What::Pose(args) => pose::run(args, context),
         What::Focus(args) => focus::run(args, context),
+        What::Glare(args) => glare::run(args, context),
         What::Status(args) => status::run(args, context),
     }
 }

@@ -92,6 +92,7 @@ fn needs(status: &RecordStatus) -> bool {
                 | Kind::Pose
                 | Kind::Focus
                 | Kind::Camera
+                | Kind::Glare
         ),
     }
 }

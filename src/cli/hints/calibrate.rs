@@ -29,6 +29,9 @@ pub(super) fn for_calibrating(error: &CalibratingError) -> Option<String> {
         NotInside { .. } => {
             "--region takes first column, first row, columns and rows; both count from 0"
         }
+        Glare(_) => {
+            "put a deep box, black inside, behind a hole in a white card that fills the image, and name with --trap a part of the image inside the hole, away from its edge; nothing was kept"
+        }
         Camera(error) => return Some(format!("{}; nothing was kept", for_camera(error))),
         NoImages { .. } => "`rig session verify` says whether the session is whole",
         // The error inside says more.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::calibration::RecordError;
 use crate::calibration::camera::CameraError;
 use crate::calibration::flat::FlatError;
+use crate::calibration::glare::GlareError;
 use crate::calibration::lamp_watch::WatchError;
 use crate::calibration::noise::NoiseError;
 use crate::calibration::pixel_map::MapError;
@@ -115,6 +116,10 @@ pub enum CalibratingError {
         /// Columns and rows of the frames.
         frame_px: [usize; 2],
     },
+
+    /// Traps on a card give no glare.
+    #[error("{0}")]
+    Glare(#[from] GlareError),
 
     /// Views of a board do not determine the lens.
     #[error("{0}")]

@@ -8,11 +8,13 @@
 //! | `lamp` | how the lamp warms up, drifts and flickers |
 //! | `response` | the response of a camera that is not linear |
 //! | `camera` | the lens |
+//! | `glare` | the light that the lens scatters |
 //! | `place` | where records and their figures go |
 
 mod camera;
 mod error;
 mod flat;
+mod glare;
 mod lamp;
 mod place;
 mod response;
@@ -21,6 +23,7 @@ mod sensor;
 pub use camera::{CameraRequest, MeasuredCamera};
 pub use error::CalibratingError;
 pub use flat::{FlatRequest, MeasuredFlat};
+pub use glare::{CardRequest, MeasuredGlare};
 pub use lamp::{LampRequest, MeasuredLamp};
 pub use place::{Kept, Place};
 pub use response::{MeasuredResponse, ResponseRequest};

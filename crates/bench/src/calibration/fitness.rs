@@ -63,7 +63,7 @@ impl Kind {
         match self {
             Kind::Sensor | Kind::Response | Kind::Camera => 365.0,
             Kind::Scale => 180.0,
-            Kind::Flat | Kind::Directions | Kind::Focus => 90.0,
+            Kind::Flat | Kind::Directions | Kind::Focus | Kind::Glare => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
             // Until the sample is touched.
             Kind::Pose => 7.0,
@@ -87,7 +87,13 @@ impl Kind {
     pub fn is_of_the_camera(self) -> bool {
         matches!(
             self,
-            Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose | Kind::Focus | Kind::Camera
+            Kind::Sensor
+                | Kind::Flat
+                | Kind::Scale
+                | Kind::Pose
+                | Kind::Focus
+                | Kind::Camera
+                | Kind::Glare
         )
     }
 }

@@ -10,6 +10,7 @@ pub mod directions;
 pub mod figures;
 pub mod fitness;
 pub mod flat;
+pub mod glare;
 pub mod lamp;
 pub mod lamp_watch;
 mod library;

@@ -2,6 +2,7 @@
 //! steady, uniform light, such as an integrating sphere or a lit diffuser.
 
 use super::flat::{FlatError, FlatFit, FlatFrames};
+use super::mirror_sphere::Grey;
 use super::sensor::{Exposed, PhotonTransfer, SensorFitError};
 use crate::device::{Camera, CameraSettings, DeviceError, FrameKey, FrameKind};
 use crate::radiometry::sensor::SensorNoise;
@@ -200,6 +201,43 @@ impl<'a> Bench<'a> {
             switch(true);
         }
         Ok(frames.solve(width)?)
+    }
+
+    /// Takes frames of whatever is before the camera, most of which must be bright, and as many
+    /// dark ones at the same exposure: their difference, DN, by pixel.
+    ///
+    /// # Errors
+    /// As [`Self::photon_transfer`].
+    pub fn picture(&mut self) -> Result<Grey, ProcedureError> {
+        let [width, height] = self.camera.info().resolution_px.map(|n| n as usize);
+        let exposure_s = self.options.flat_level * self.saturating_exposure_s()?;
+        let (mut value, mut square) = (vec![0.0; width * height], vec![0.0; width * height]);
+        for exposed in [Exposed::Flat, Exposed::Dark] {
+            let sign = match exposed {
+                Exposed::Dark => {
+                    self.shut(true)?;
+                    -1.0
+                }
+                _ => 1.0,
+            };
+            self.take(exposure_s, exposed, |_, counts| {
+                for (pixel, &count) in counts.iter().enumerate() {
+                    let count = f64::from(count);
+                    value[pixel] += sign * count;
+                    square[pixel] += count;
+                }
+                Ok(())
+            })?;
+        }
+        let frames = f64::from(self.options.frames);
+        Ok(Grey {
+            width,
+            height,
+            value: value.into_iter().map(|sum| sum / frames).collect(),
+            // Of photons, as if a count were one; nothing is weighted by it.
+            variance: square.into_iter().map(|sum| sum / frames.powi(2)).collect(),
+            valid: vec![true; width * height],
+        })
     }
 
     /// The exposure at which counts stop growing, found by doubling. Leaves the

@@ -34,11 +34,13 @@ pub enum Kind {
     Focus,
     /// The lens, and where the camera stands.
     Camera,
+    /// Light that the lens scatters over the image.
+    Glare,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 10] = [
+    pub const ALL: [Kind; 11] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
@@ -49,6 +51,7 @@ impl Kind {
         Kind::Pose,
         Kind::Focus,
         Kind::Camera,
+        Kind::Glare,
     ];
 
     /// The folder's name.
@@ -64,6 +67,7 @@ impl Kind {
             Kind::Pose => "pose",
             Kind::Focus => "focus",
             Kind::Camera => "camera",
+            Kind::Glare => "glare",
         }
     }
 }
@@ -139,7 +143,7 @@ pub struct BadValue {
 }
 
 impl Measured {
-    fn check(self, key: &str, low: f64, high: f64) -> Result<(), BadValue> {
+    pub(super) fn check(self, key: &str, low: f64, high: f64) -> Result<(), BadValue> {
         let bad = |key: String, value: f64, allowed: String| {
             Err(BadValue {
                 key,

@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::camera::{CameraValues, LensModel};
 use super::directions::DirectionsValues;
 use super::fitness::Concern;
+use super::glare::GlareValues;
 use super::pose::PoseValues;
 use super::record::{
     FlatValues, Kind, LampValues, LightsValues, Measured, ResponseValues, ScaleValues,
@@ -69,6 +70,7 @@ pub fn status(rig: &RigConfig, library: &Library, now: Timestamp) -> Vec<RecordS
         of.kind(&pins.pose, of_pose),
         of.kind(&None, of_response),
         of.kind(&pins.camera, of_camera),
+        of.kind(&pins.glare, of_glare),
     ]
 }
 
@@ -142,6 +144,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Focus => "the rig file's point spread, focus and aperture are used",
         Kind::Camera => "the rig file's lens is used",
         Kind::Response => "counts are taken as proportional to light",
+        Kind::Glare => "the lens is taken to scatter no light",
     }
 }
 
@@ -256,6 +259,21 @@ fn of_pose(v: &PoseValues) -> String {
         three(v.rotation_deg, 0),
         three(v.translation_mm, 3),
         v.residual_px
+    )
+}
+
+fn of_glare(v: &GlareValues) -> String {
+    let percent = |m: Measured| {
+        pair(Measured {
+            value: 100.0 * m.value,
+            std: 100.0 * m.std,
+        })
+    };
+    format!(
+        "{} % of the light evenly, {} % in a halo of {:.0}% of the diagonal",
+        percent(v.uniform),
+        percent(v.halo),
+        100.0 * v.halo_width
     )
 }
 

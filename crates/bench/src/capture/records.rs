@@ -6,6 +6,7 @@ use super::findings::{Notice, PrepareError};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
+use crate::calibration::glare::GlareValues;
 use crate::calibration::noise::sensor_noise;
 use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
@@ -30,6 +31,7 @@ pub struct Records {
     /// Only where the rig names it: it is valid until somebody touches the sample.
     pose: Option<Loaded<PoseValues>>,
     camera: Option<Loaded<CameraValues>>,
+    glare: Option<Loaded<GlareValues>>,
 }
 
 /// A copy of a record's file for a session.
@@ -65,6 +67,7 @@ impl Records {
                 None => None,
             },
             camera: library.load(ids.camera.as_deref())?,
+            glare: library.load(ids.glare.as_deref())?,
         };
         if let Some(sensor) = &records.sensor {
             sensor.check_camera(serial, &config.camera)?;
@@ -74,6 +77,9 @@ impl Records {
         }
         if let Some(camera) = &records.camera {
             camera.check_camera(serial, &config.camera)?;
+        }
+        if let Some(glare) = &records.glare {
+            glare.check_camera(serial, &config.camera)?;
         }
         Ok(records)
     }
@@ -179,6 +185,7 @@ impl Records {
             of(&self.focus),
             of(&self.pose),
             of(&self.camera),
+            of(&self.glare),
         ];
         records.into_iter().flatten().collect()
     }

@@ -66,6 +66,7 @@ impl RigConfig {
             pose_error_mm: simulation.pose_error_mm,
             pose_error_deg: simulation.pose_error_deg,
             ambient_w_m2_sr: simulation.ambient_w_m2_sr as f32,
+            glare: simulation.glare,
             samples_per_pixel: simulation.samples_per_pixel,
             max_reflections: simulation.max_reflections,
             seed: simulation.seed,

@@ -1,5 +1,5 @@
-//! What the camera of a simulated rig sees while it is calibrated: an integrating sphere, or a
-//! white card before the lamp.
+//! What the camera of a simulated rig sees while it is calibrated: an integrating sphere, a white
+//! card before the lamp, or one with black traps.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,8 +11,10 @@ use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 
 use super::{CameraConfig, RigConfig};
+use crate::calibration::white::Region;
 use crate::device::simulated_camera::SimulatedCamera;
 use crate::device::{Camera, DeviceError};
+use crate::simulation::glare_card;
 
 /// Radiance of the simulated uniform light, W/(m² sr), where none is stated.
 pub const UNIFORM_RADIANCE: f64 = 0.4;
@@ -113,6 +115,47 @@ impl RigConfig {
             switch: Box::new(switch),
             clock,
         })
+    }
+
+    /// The simulated camera before a white card with two black traps of this reflectance over
+    /// the card's, and the regions inside the traps. `None` for a real rig.
+    pub fn camera_before_traps(
+        &self,
+        trap_reflectance: f64,
+    ) -> Option<(Box<dyn Camera>, [Region; 2])> {
+        struct Card {
+            resolution_px: [u32; 2],
+            radiance: Arc<Vec<f32>>,
+        }
+        impl RadianceSource for Card {
+            fn resolution_px(&self) -> [u32; 2] {
+                self.resolution_px
+            }
+            fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
+                self.radiance.clone()
+            }
+        }
+        let simulation = self.simulation.as_ref()?;
+        let resolution_px = self.camera.resolution_px;
+        let (card, traps) = glare_card::card(
+            resolution_px.map(|n| n as usize),
+            [UNIFORM_RADIANCE, trap_reflectance],
+            simulation.glare,
+        );
+        let card = Card {
+            resolution_px,
+            radiance: Arc::new(card),
+        };
+        let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
+        let sensor = simulation.sensor.clone();
+        let camera = simulated_camera(&self.camera, sensor, bench, Arc::new(card));
+        let region = |[x, y, width, height]: [usize; 4]| Region {
+            x,
+            y,
+            width,
+            height,
+        };
+        Some((camera, traps.map(region)))
     }
 }
 

@@ -144,6 +144,8 @@ pub struct CalibrationConfig {
     pub pose: Option<String>,
     /// Id of the record of the lens.
     pub camera: Option<String>,
+    /// Id of the record of the lens' veiling glare.
+    pub glare: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -161,7 +163,7 @@ impl CalibrationConfig {
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
         let (directions, pose, camera) = (id("directions")?, id("pose")?, id("camera")?);
-        let focus = id("focus")?;
+        let (focus, glare) = (id("focus")?, id("glare")?);
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -174,6 +176,7 @@ impl CalibrationConfig {
             focus,
             pose,
             camera,
+            glare,
         })
     }
 }

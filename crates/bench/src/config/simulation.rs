@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 
 use mock_devices::bench::{LampModel, StageErrors};
 use mock_devices::camera::CameraConfig as MockCamera;
+use mock_devices::glare::Glare;
 use mock_devices::sensor::{PixelCounts, SensorConfig};
 
 #[cfg(feature = "serial")]
@@ -52,6 +53,8 @@ pub struct SimulationConfig {
     pub camera: MockCamera,
     /// The lens.
     pub lens: TrueLens,
+    /// Light that the lens puts elsewhere.
+    pub glare: Glare,
 }
 
 /// The true lens, where it differs from that of `[geometry.camera]`.
@@ -138,6 +141,7 @@ impl SimulationConfig {
             sensor,
             camera: read_camera(table.section_or_empty("camera")?, camera, seed)?,
             lens: read_lens(table.section_or_empty("lens")?, camera)?,
+            glare: read_glare(table.section_or_empty("glare")?)?,
             stage_errors: read_stage_errors(table.section_or_empty("stage")?)?,
             lamp: read_lamp(table.section_or_empty("lamp")?)?,
             pose_error_mm: table.number("pose_error_mm", 0.0..=10.0)?.or(0.0),
@@ -250,6 +254,16 @@ fn read_lens(mut table: Section, camera: &CameraConfig) -> Result<TrueLens, Conf
     };
     table.finish()?;
     Ok(lens)
+}
+
+fn read_glare(mut table: Section) -> Result<Glare, ConfigError> {
+    let glare = Glare {
+        uniform: table.number("uniform", 0.0..=0.02)?.or(0.0),
+        halo: table.number("halo", 0.0..=0.02)?.or(0.0),
+        halo_width: table.number("halo_width", 0.01..=0.5)?.or(0.1),
+    };
+    table.finish()?;
+    Ok(glare)
 }
 
 fn read_stage_errors(mut table: Section) -> Result<StageErrors, ConfigError> {

@@ -6,6 +6,7 @@
 
 pub mod checkerboard;
 pub mod edge;
+pub mod glare_card;
 pub mod glossy_spheres;
 mod interreflection;
 pub mod photograph;
@@ -18,6 +19,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use glam::DVec3;
+use mock_devices::glare::Glare;
 use mock_devices::{Illumination, RadianceSource};
 
 use self::interreflection::{Grid, Value};
@@ -53,6 +55,8 @@ pub struct Truth {
     pub pose_error_deg: f64,
     /// Radiance of the room's light on the sensor, W/(m² sr).
     pub ambient_w_m2_sr: f32,
+    /// What the lens does to the light of the sample.
+    pub glare: Glare,
     /// Light paths from each node of the grid on which the interreflection is followed.
     pub samples_per_pixel: u32,
     /// Longest path in surface reflections.
@@ -146,8 +150,23 @@ impl TruthSource {
             interreflection: &interreflection,
             seed: self.seed(place, 1),
         };
-        let image = Arc::new(view.render());
+        let image = Arc::new(self.glared(view.render()));
         known.latest = Some((position, image.clone()));
+        image
+    }
+
+    /// The image with the lens' glare.
+    fn glared(&self, mut image: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+        let Truth { glare, camera, .. } = &self.truth;
+        if !glare.is_none() {
+            for c in 0..3 {
+                let mut plane: Vec<f32> = image.iter().map(|radiance| radiance[c]).collect();
+                glare.spread(&mut plane, camera.resolution_px[0]);
+                for (radiance, value) in image.iter_mut().zip(plane) {
+                    radiance[c] = value;
+                }
+            }
+        }
         image
     }
 
@@ -315,6 +334,7 @@ mod tests {
             pose_error_mm,
             pose_error_deg: 0.0,
             ambient_w_m2_sr: 0.5,
+            glare: Glare::default(),
             samples_per_pixel: 16,
             max_reflections: 4,
             seed: 3,

@@ -8,6 +8,7 @@ use super::notice::{Notice, Observer};
 use crate::bench_priors::BenchPriors;
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
+use crate::calibration::glare::GlareValues;
 use crate::calibration::record::LightsValues;
 use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded};
@@ -23,6 +24,7 @@ pub struct BenchRecords {
     directions: Option<Loaded<DirectionsValues>>,
     focus: Option<Loaded<FocusValues>>,
     camera: Option<Loaded<CameraValues>>,
+    glare: Option<Loaded<GlareValues>>,
 }
 
 /// A bench as the rig file and the records together describe it.
@@ -70,6 +72,7 @@ impl BenchRecords {
             directions: library.load(None)?,
             focus: library.load(None)?,
             camera: library.load(None)?,
+            glare: library.load(None)?,
         })
     }
 
@@ -84,6 +87,11 @@ impl BenchRecords {
     /// Whether the irradiance was measured.
     pub fn has_irradiance(&self) -> bool {
         self.irradiance.is_some()
+    }
+
+    /// The lens' glare, which is not of the images' merge but of their fit.
+    pub fn glare(&self) -> Option<&Loaded<GlareValues>> {
+        self.glare.as_ref()
     }
 
     /// The bench by these records; `angles`, as read back from the stage, become those of the

@@ -5,6 +5,7 @@ use std::io::{Read, Seek};
 use std::path::Path;
 
 use super::WorkflowError;
+use crate::cells::glare::{BlockSums, Glare};
 use crate::cells::{AverageError, Averager, Captured, CellOptions, choose};
 use crate::outside_file;
 use crate::radiance_image::RadianceImage;
@@ -120,7 +121,7 @@ fn mean_radiance(rows: &mut impl Rows) -> Result<f32, ExrError> {
 const LARGEST_MASK_BYTES: u64 = 3 << 29;
 
 /// Averages the images of a scene's lights over its cells, without what is dark or transparent in
-/// the mask.
+/// the mask and, where it is known, without the lens' glare.
 ///
 /// # Errors
 /// An image or mask that cannot be read or has another size, or of which nothing is valid.
@@ -129,13 +130,15 @@ pub(super) fn average<R: Rows>(
     mut sources: Vec<Source<R>>,
     mask_path: Option<&Path>,
     options: &CellOptions,
+    glare: Option<&Glare>,
 ) -> Result<Captured, WorkflowError> {
     let resolution_px = scene.camera.resolution_px;
     let mask = mask_path.map(|path| read_mask(path, resolution_px));
     let mask = mask.transpose()?;
     let mut averager = Averager::new(scene, choose(scene, options), sources.len())?;
 
-    // The same rows of all images at a time.
+    // The same rows of all images at a time. What is masked scatters as well.
+    let mut blocks = vec![BlockSums::new(resolution_px); sources.len()];
     let mut first_row = 0;
     while first_row < resolution_px[1] {
         let mut rows = Vec::with_capacity(sources.len());
@@ -145,6 +148,11 @@ pub(super) fn average<R: Rows>(
         let height = rows.first().map_or(0, |rows| rows.height);
         if height == 0 {
             break;
+        }
+        if glare.is_some() {
+            for (blocks, rows) in blocks.iter_mut().zip(&rows) {
+                blocks.add(rows);
+            }
         }
         if let Some(mask) = &mask {
             let used = &mask[first_row * resolution_px[0]..];
@@ -158,7 +166,13 @@ pub(super) fn average<R: Rows>(
         first_row += height;
     }
 
-    averager.finish().map_err(|source| match source {
+    let averaged = averager.finish().map(|mut captured| {
+        if let Some(glare) = glare {
+            captured.remove_glare(&blocks, glare);
+        }
+        captured
+    });
+    averaged.map_err(|source| match source {
         AverageError::NothingValid { image } => WorkflowError::NothingValid {
             file: sources.swap_remove(image).file,
             source,

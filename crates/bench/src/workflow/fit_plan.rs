@@ -8,6 +8,7 @@ use super::{FitRequest, FitWork, WorkflowError};
 use crate::bench_priors::BenchPriors;
 use crate::brdf::Dictionary;
 use crate::cells::choose;
+use crate::cells::glare::Glare;
 use crate::cells::{Captured, CellOptions};
 use crate::config::fit::set;
 use crate::geometry::FormError;
@@ -26,6 +27,8 @@ pub(super) struct FitPlan {
     pub memory_mib: Option<u64>,
     /// How well the bench is known; `None`: exactly.
     pub priors: Option<BenchPriors>,
+    /// What the images are freed of.
+    pub glare: Option<Glare>,
     /// Most cells, if chosen.
     cells: Option<usize>,
 }
@@ -78,6 +81,7 @@ impl FitPlan {
             memory_mib: request.memory_mib,
             priors: refines_bench.then_some(priors),
             cells: request.cells.or(config.cells),
+            glare: None,
         })
     }
 
@@ -116,7 +120,13 @@ impl FitPlan {
     ) -> Result<Captured, WorkflowError> {
         let files: Vec<String> = images.iter().map(|image| image.file.clone()).collect();
         let cells = self.cell_options();
-        let captured = cell_images::average(scene, images, self.mask.as_deref(), &cells)?;
+        let captured = cell_images::average(
+            scene,
+            images,
+            self.mask.as_deref(),
+            &cells,
+            self.glare.as_ref(),
+        )?;
         tracing::info!(
             cells = captured.len(),
             outlying_pixels = captured.outliers,

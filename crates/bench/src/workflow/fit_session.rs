@@ -10,6 +10,8 @@ use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
 use super::session_images::{CapturedSession, captured_session, measured_pose};
 use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, fit_memory, lamp_drift};
+use crate::calibration::glare::GlareValues;
+use crate::calibration::record::Record;
 use crate::config::RigConfig;
 use crate::inverse::bench::with_sample_at;
 use crate::radiance_image::exr::ExrRows;
@@ -70,6 +72,7 @@ pub(super) struct Prepared {
     pub images: Vec<ExrRows>,
     drift: LampDrift,
     is_scale_described: bool,
+    glare_remark: Option<String>,
 }
 
 /// Reads what a fit of a session by this request starts from.
@@ -109,7 +112,13 @@ pub(super) fn prepared(
         exact => exact,
     };
     let sample = &config.geometry.sample;
-    let plan = FitPlan::new(request, Some(&config.fit), &uncertainty, sample.form_error)?;
+    let mut plan = FitPlan::new(request, Some(&config.fit), &uncertainty, sample.form_error)?;
+    let glare = records.glare();
+    plan.glare = glare.map(|loaded| loaded.record.values.glare());
+    let glare_remark = glare.map(|loaded| glare_remark(&loaded.record));
+    if let Some(remark) = &glare_remark {
+        observer.notice(Notice::Remark(remark));
+    }
     check_scene(&scene, DescribedIn::Rig, &sample.surface, observer)?;
     Ok(Prepared {
         session,
@@ -119,7 +128,19 @@ pub(super) fn prepared(
         images,
         drift,
         is_scale_described,
+        glare_remark,
     })
+}
+
+/// Which glare was taken off, for the fit's record.
+fn glare_remark(record: &Record<GlareValues>) -> String {
+    let total = record.values.total();
+    format!(
+        "veiling glare of {:.2} ± {:.2}% of the light is taken off the images, by record {}",
+        100.0 * total.value,
+        100.0 * total.std,
+        record.id
+    )
 }
 
 fn fit_captured(
@@ -157,6 +178,7 @@ fn fit_captured(
     if prepared.is_scale_described {
         fit.remarks.push(Notice::ScaleAsDescribed.to_string());
     }
+    fit.remarks.extend(prepared.glare_remark);
     fit.warnings
         .extend(prepared.session.journal().suspicion().map(|what| Warning {
             what,

@@ -42,12 +42,12 @@ mod validate_predict;
 mod validate_score;
 mod warnings;
 
+pub use crate::config::fit::FitRequest;
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
 pub use cell_images::UNSTATED_NOISE;
 pub use error::WorkflowError;
 pub use facets::{coarse_facets, remark_on_facets};
 pub use fit_images::{ImageFit, NamedImage, fit_images, fit_images_in_memory};
-pub use crate::config::fit::FitRequest;
 pub use fit_session::{Expected, expected, fit_session, fit_session_into, work_of};
 pub use fit_work::FitWork;
 pub use notice::{Notice, Observer};

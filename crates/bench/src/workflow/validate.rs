@@ -140,8 +140,13 @@ pub fn validate_session(
 ) -> Result<Validated, WorkflowError> {
     let mut prepared = prepared(root, request, observer)?;
     let rows = std::mem::take(&mut prepared.images);
+    // Predicted images have none, so it is taken off whole ones.
+    let glare = prepared.plan.glare.take();
     let whole = rows.into_iter().enumerate().map(|(light, mut rows)| {
-        let image = rows.next_rows(rows.size()[1])?;
+        let mut image = rows.next_rows(rows.size()[1])?;
+        if let Some(glare) = &glare {
+            glare.remove_from(&mut image);
+        }
         Ok::<_, WorkflowError>(NamedImage {
             name: crate::session::layout::radiance_file(light as u32),
             image,

@@ -322,7 +322,7 @@ fn looks_like(cause: Cause) -> &'static str {
 fn advice(cause: Cause) -> &'static str {
     match cause {
         Cause::StrayLight => {
-            "stray light from the room or the holder; darken it, or subtract frames taken with the lamp off"
+            "stray light from the room or the holder, or glare of the lens; darken the one, or subtract frames taken with the lamp off, and measure the other: `rig calibrate glare`"
         }
         Cause::ShapeOrPose => {
             "pose or shape of the sample differ from the scene file's; measure its pose again"

@@ -79,6 +79,10 @@ impl Draft {
             "sharpness over the sample's depth, from a slanted edge at three heights, taken likewise",
         );
         step(
+            "rig calibrate glare --trap X,Y,WIDTH,HEIGHT@",
+            "light that the lens scatters, from a hole into a black box in a white card",
+        );
+        step(
             "rig capture --lights 12 --sample sphere --no-fit@",
             "a glossy sphere in the sample's position",
         );
