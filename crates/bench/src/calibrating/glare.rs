@@ -89,6 +89,6 @@ impl MeasuredGlare {
     /// A file that cannot be written, or a record of that name that is there.
     pub fn keep(&self, place: &Place) -> Result<Kept, CalibratingError> {
         let method = format!("{} black trap(s) on a white card", self.traps);
-        place.keep(self.values.clone(), &method, &[])
+        place.keep(self.values, &method, &[])
     }
 }
