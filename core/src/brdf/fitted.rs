@@ -16,6 +16,13 @@ use crate::shown::excerpt;
 const WEIGHTS_FILE: &str = "weights.csv";
 /// Its model discrepancy; absent where there is none.
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
+/// What [`read`] reads of a fit's folder.
+pub const FILES: [&str; 2] = [WEIGHTS_FILE, DISCREPANCY_FILE];
+
+/// Whether a fit's folder is whole without this file.
+pub fn is_optional(path: &Path) -> bool {
+    path.ends_with(DISCREPANCY_FILE)
+}
 
 /// Reads the material of a fit's folder: the mixture of `weights.csv`, whose atoms are those of
 /// the file, with the model discrepancy of `discrepancy.csv` where that is there.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Session, SessionError, layout::CALIBRATION_FOLDER};
-use crate::brdf::Dictionary;
+use crate::brdf::{Dictionary, fitted};
 use crate::config::reflectance::BrdfSpec;
 use crate::config::view::SurfaceSpec;
 use crate::config::{ConfigError, RigConfig};
@@ -36,7 +36,7 @@ impl Session {
         for (name, path) in scene_paths(&mut config) {
             let copy = self.root().join(CALIBRATION_FOLDER).join(name);
             // Sessions of older versions have none.
-            if copy.is_file() {
+            if copy.exists() {
                 *path = copy;
             }
         }
@@ -79,21 +79,29 @@ impl Session {
 /// # Errors
 /// The first that cannot be read.
 pub fn scene_files(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, SceneFileError> {
-    scene_paths(&mut config.clone())
-        .into_iter()
-        .map(|(name, path)| {
-            let bytes = outside_file::read_regular(path, LARGEST_FILE_BYTES);
-            let path = &*path;
-            let failed = |source| SceneFileError {
-                path: path.clone(),
-                source,
-            };
-            Ok((name, bytes.map_err(failed)?))
-        })
-        .collect()
+    let mut files = Vec::new();
+    for (name, path) in scene_paths(&mut config.clone()) {
+        // A fit is a folder, of which the material is kept.
+        let parts = match path.is_dir() {
+            true => fitted::FILES
+                .map(|part| (format!("{name}/{part}"), path.join(part)))
+                .to_vec(),
+            false => vec![(name, path.clone())],
+        };
+        for (name, path) in parts {
+            match outside_file::read_regular(&path, LARGEST_FILE_BYTES) {
+                Ok(bytes) => files.push((name, bytes)),
+                Err(error)
+                    if error.kind() == std::io::ErrorKind::NotFound
+                        && fitted::is_optional(&path) => {}
+                Err(source) => return Err(SceneFileError { path, source }),
+            }
+        }
+    }
+    Ok(files)
 }
 
-/// These files' paths, with the names of their copies.
+/// The paths of these files and folders, with the names of their copies.
 fn scene_paths(config: &mut RigConfig) -> Vec<(String, &mut PathBuf)> {
     let geometry = &mut config.geometry;
     let mut files = Vec::new();
@@ -135,4 +143,33 @@ fn add<'a>(files: &mut Vec<(String, &'a mut PathBuf)>, stem: &str, path: &'a mut
         None => stem.to_owned(),
     };
     files.push((name, path));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_material_of_a_fit_is_kept_with_or_without_a_discrepancy() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut config = RigConfig::load(&root.join("rig-configs/simulated.toml")).unwrap();
+        let fit = tempfile::tempdir().unwrap();
+        let names = |config: &RigConfig| -> Vec<String> {
+            let files = scene_files(config).unwrap().into_iter();
+            files
+                .map(|(name, _)| name)
+                .filter(|name| name.contains("brdf"))
+                .collect()
+        };
+        config.geometry.bodies.truncate(1);
+        config.geometry.bodies[0].brdf = BrdfSpec::Fit(fit.path().to_owned());
+        let missing = scene_files(&config).unwrap_err();
+        assert!(missing.path.ends_with("weights.csv"), "{missing}");
+        std::fs::write(fit.path().join("weights.csv"), "kind\n").unwrap();
+        std::fs::write(fit.path().join("fit.toml"), "").unwrap();
+        assert_eq!(names(&config), ["body-0-brdf/weights.csv"]);
+        std::fs::write(fit.path().join("discrepancy.csv"), "theta_h_deg\n").unwrap();
+        let kept = ["body-0-brdf/weights.csv", "body-0-brdf/discrepancy.csv"];
+        assert_eq!(names(&config), kept);
+    }
 }

@@ -60,7 +60,8 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
-const POSTERIOR_FILE: &str = "posterior.npy";
+/// Posterior samples of a fit.
+pub const POSTERIOR_FILE: &str = "posterior.npy";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;

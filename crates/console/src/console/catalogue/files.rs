@@ -8,6 +8,7 @@ use super::pictures::{self, PictureOf};
 use super::served::{FileError, Served, Shown};
 use crate::beneath;
 use crate::catalogue::row;
+use crate::session::fit_record::POSTERIOR_FILE;
 use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
 
 /// A MERL table has 35 MB, a spectral one up to some 100 MB.
@@ -47,6 +48,9 @@ fn allowed(file: &str) -> Option<Allowed> {
     }
     let number = folder.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
     number.parse::<u32>().ok()?;
+    if name == POSTERIOR_FILE {
+        return Some(Allowed::File(BYTES, Shown::Download));
+    }
     OF_A_FIT
         .contains(&name)
         .then_some(Allowed::File(PLAIN, Shown::Inline))
@@ -99,6 +103,7 @@ mod tests {
             ("report.html", Page),
             ("fits/0/fit.toml", Inline),
             ("fits/12/table.csv", Inline),
+            ("fits/0/posterior.npy", Download),
             ("exports/fit-0-merl.binary", Download),
             ("exports/fit-0-merl.binary.txt", Download),
         ] {
