@@ -62,6 +62,10 @@ fn exr_rows(bytes: &[u8]) {
 /// What a TIFF's tag may take, whose values are read before the reader can be given a limit.
 const BEFORE_TIFF_LIMITS: usize = 256 << 20;
 
+/// The TIFF reader opens the first image of a BigTIFF, and with it tags of up to 1 MiB, each value
+/// of which takes some 32 bytes, whatever the file's size.
+const BIG_TIFF_TAGS: usize = 64 << 20;
+
 /// All of them.
 pub const TARGETS: &[Target] = &[
     target(
@@ -205,7 +209,7 @@ pub const TARGETS: &[Target] = &[
             let _ = rig::radiometry::frame_exposure::CameraNote::read(bytes).exposure_s();
         },
         memory_per_byte: 256,
-        memory_at_least: BEFORE_TIFF_LIMITS,
+        memory_at_least: BIG_TIFF_TAGS,
     },
     target(
         "pixel_map",
