@@ -93,7 +93,8 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         let folder = folder.unwrap_or(Path::new("."));
         if !folder.is_dir() {
             let fact = format!("{} is not a folder", folder.display());
-            return Err(CliError::new(fact).hint("create it first, or choose another file"));
+            return Err(CliError::new(fact)
+                .hint("create it first, or choose another file with --out or --deviation"));
         }
         check_writable(out)?;
     }
