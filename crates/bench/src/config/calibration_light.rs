@@ -11,7 +11,6 @@ use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 
 use super::{CameraConfig, RigConfig};
-use crate::calibration::white::Region;
 use crate::device::simulated_camera::SimulatedCamera;
 use crate::device::{Camera, DeviceError};
 use crate::simulation::glare_card;
@@ -118,11 +117,12 @@ impl RigConfig {
     }
 
     /// The simulated camera before a white card with two black traps of this reflectance over
-    /// the card's, and the regions inside the traps. `None` for a real rig.
+    /// the card's, and the regions inside the traps: first column, first row, columns, rows.
+    /// `None` for a real rig.
     pub fn camera_before_traps(
         &self,
         trap_reflectance: f64,
-    ) -> Option<(Box<dyn Camera>, [Region; 2])> {
+    ) -> Option<(Box<dyn Camera>, [[usize; 4]; 2])> {
         struct Card {
             resolution_px: [u32; 2],
             radiance: Arc<Vec<f32>>,
@@ -149,13 +149,7 @@ impl RigConfig {
         let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
         let sensor = simulation.sensor.clone();
         let camera = simulated_camera(&self.camera, sensor, bench, Arc::new(card));
-        let region = |[x, y, width, height]: [usize; 4]| Region {
-            x,
-            y,
-            width,
-            height,
-        };
-        Some((camera, traps.map(region)))
+        Some((camera, traps))
     }
 }
 

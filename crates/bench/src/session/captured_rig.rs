@@ -152,7 +152,7 @@ mod tests {
     #[test]
     fn the_material_of_a_fit_is_kept_with_or_without_a_discrepancy() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-        let mut config = RigConfig::load(&root.join("rig-configs/simulated.toml")).unwrap();
+        let mut config = RigConfig::load(&root.join("rig-configs/rehearsal-ball.toml")).unwrap();
         let fit = tempfile::tempdir().unwrap();
         let names = |config: &RigConfig| -> Vec<String> {
             let files = scene_files(config).unwrap().into_iter();
@@ -161,7 +161,6 @@ mod tests {
                 .filter(|name| name.contains("brdf"))
                 .collect()
         };
-        config.geometry.bodies.truncate(1);
         config.geometry.bodies[0].brdf = BrdfSpec::Fit(fit.path().to_owned());
         let missing = scene_files(&config).unwrap_err();
         assert!(missing.path.ends_with("weights.csv"), "{missing}");
