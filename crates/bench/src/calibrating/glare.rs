@@ -40,7 +40,7 @@ impl CardRequest<'_> {
     /// The camera fails, or the traps are not dark enough or not in the image.
     pub fn measure(&self, attendant: &dyn Attendant) -> Result<MeasuredGlare, CalibratingError> {
         let (mut camera, simulated) = match self.rig.camera_before_traps(self.true_reflectance()) {
-            Some((camera, traps)) => (camera, traps.map(region).to_vec()),
+            Some(card) => (card.camera, card.traps.map(region).to_vec()),
             None => (open_real_camera(self.rig, self.open)?, Vec::new()),
         };
         let traps = match self.traps {

@@ -27,6 +27,14 @@ pub struct LampBench {
     clock: Clock,
 }
 
+/// The camera before a white card with two black traps.
+pub struct TrapCard {
+    /// The camera.
+    pub camera: Box<dyn Camera>,
+    /// Regions inside the traps, pixels: first column, first row, columns, rows.
+    pub traps: [[usize; 4]; 2],
+}
+
 impl LampBench {
     /// Lets so many seconds pass.
     pub fn clock(&self) -> impl FnMut(f64) + use<> {
@@ -117,12 +125,8 @@ impl RigConfig {
     }
 
     /// The simulated camera before a white card with two black traps of this reflectance over
-    /// the card's, and the regions inside the traps: first column, first row, columns, rows.
-    /// `None` for a real rig.
-    pub fn camera_before_traps(
-        &self,
-        trap_reflectance: f64,
-    ) -> Option<(Box<dyn Camera>, [[usize; 4]; 2])> {
+    /// the card's. `None` for a real rig.
+    pub fn camera_before_traps(&self, trap_reflectance: f64) -> Option<TrapCard> {
         struct Card {
             resolution_px: [u32; 2],
             radiance: Arc<Vec<f32>>,
@@ -149,7 +153,7 @@ impl RigConfig {
         let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
         let sensor = simulation.sensor.clone();
         let camera = simulated_camera(&self.camera, sensor, bench, Arc::new(card));
-        Some((camera, traps))
+        Some(TrapCard { camera, traps })
     }
 }
 
