@@ -29,7 +29,9 @@ pub struct ExportArgs {
 
 /// The names of the formats, with what they write.
 fn formats() -> impl TypedValueParser<Value = Format> {
-    let names = FORMATS.map(|format| PossibleValue::new(format.name).help(format.about));
+    let names = FORMATS
+        .iter()
+        .map(|format| PossibleValue::new(format.name).help(format.about));
     PossibleValuesParser::new(names).map(|name| Format::named(&name).expect("one of them"))
 }
 

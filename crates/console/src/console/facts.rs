@@ -44,7 +44,7 @@ pub fn facts(rig: &RigConfig, file: &str, folder: &Path, mode: Mode) -> Value {
         "version": env!("CARGO_PKG_VERSION"),
         "mode": mode.name(),
         "folder": folder.to_string_lossy(),
-        "formats": FORMATS.map(|format| (format.name, format.about)),
+        "formats": FORMATS.iter().map(|format| (format.name, format.about)).collect::<Vec<_>>(),
         "rig": {
             "name": rig.name,
             "file": file,

@@ -72,7 +72,7 @@ enum Writer {
 }
 
 /// All formats.
-pub const FORMATS: [Format; 10] = [
+pub const FORMATS: &[Format] = &[
     json::FORMAT,
     merl_file::FORMAT,
     rgl::FORMAT,
@@ -88,7 +88,7 @@ pub const FORMATS: [Format; 10] = [
 impl Format {
     /// The format of this name.
     pub fn named(name: &str) -> Option<Self> {
-        FORMATS.into_iter().find(|format| format.name == name)
+        FORMATS.iter().copied().find(|format| format.name == name)
     }
 
     /// Whether [`export`] writes it; [`export_session`] writes all.
