@@ -116,7 +116,7 @@ pub struct FitRequest {
     #[cfg_attr(feature = "clap", arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true"))]
     #[serde(skip)]
     pub refine_bench: Option<bool>,
-    /// A deviation of the [uncertainty] table, such as light_deg=0.5; more than one may be given
+    /// A deviation of the table `[uncertainty]`, such as light_deg=0.5; more than one may be given
     #[cfg_attr(feature = "clap", arg(long, value_name = "KEY=VALUE"))]
     #[serde(skip)]
     pub uncertainty: Vec<Deviation>,
