@@ -85,6 +85,17 @@ pub const FORMATS: &[Format] = &[
     birdf::FORMAT,
 ];
 
+impl ModelFormat {
+    /// Its row among the formats.
+    pub const fn format(self) -> Format {
+        match self {
+            Self::OpenPbr => materialx::FORMAT,
+            Self::Blender => blender::FORMAT,
+            Self::Gltf => gltf::FORMAT,
+        }
+    }
+}
+
 impl Format {
     /// The format of this name.
     pub fn named(name: &str) -> Option<Self> {

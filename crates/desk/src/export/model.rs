@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use super::{Format, blender, gltf, materialx};
 use crate::brdf::Brdf;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score;
@@ -44,15 +43,6 @@ impl ModelFormat {
         [Self::OpenPbr, Self::Blender, Self::Gltf]
             .into_iter()
             .find(|format| ends_in(path, format.ending()))
-    }
-
-    /// Its row among the formats.
-    pub const fn format(self) -> Format {
-        match self {
-            Self::OpenPbr => materialx::FORMAT,
-            Self::Blender => blender::FORMAT,
-            Self::Gltf => gltf::FORMAT,
-        }
     }
 
     /// The model behind it.
