@@ -76,12 +76,7 @@ fn certificate(text: &str) -> Result<String, String> {
 pub(super) fn parse_region(text: &str) -> Result<Region, String> {
     let numbers: Option<Vec<usize>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     match numbers.as_deref() {
-        Some(&[x, y, width, height]) => Ok(Region {
-            x,
-            y,
-            width,
-            height,
-        }),
+        Some(&[x, y, width, height]) => Ok([x, y, width, height].into()),
         _ => Err("four whole numbers: first column, first row, columns, rows".into()),
     }
 }

@@ -40,7 +40,7 @@ impl CardRequest<'_> {
     /// The camera fails, or the traps are not dark enough or not in the image.
     pub fn measure(&self, attendant: &dyn Attendant) -> Result<MeasuredGlare, CalibratingError> {
         let (mut camera, simulated) = match self.rig.camera_before_traps(self.true_reflectance()) {
-            Some(card) => (card.camera, card.traps.map(region).to_vec()),
+            Some(card) => (card.camera, card.traps.map(Region::from).to_vec()),
             None => (open_real_camera(self.rig, self.open)?, Vec::new()),
         };
         let traps = match self.traps {
@@ -79,15 +79,6 @@ impl CardRequest<'_> {
         let seed = self.rig.simulation.as_ref().map_or(0, |s| s.seed);
         let error = stream(seed, Purpose::BenchPerturbation, u64::MAX, 1, 0).normal();
         (self.trap_reflectance.value + self.trap_reflectance.std * error).max(0.0)
-    }
-}
-
-fn region([x, y, width, height]: [usize; 4]) -> Region {
-    Region {
-        x,
-        y,
-        width,
-        height,
     }
 }
 

@@ -372,13 +372,7 @@ mod tests {
             valid: vec![true; card.len()],
             value: card.into_iter().map(f64::from).collect(),
         };
-        let region = |[x, y, width, height]: [usize; 4]| Region {
-            x,
-            y,
-            width,
-            height,
-        };
-        (image, traps.map(region).to_vec())
+        (image, traps.map(Region::from).to_vec())
     }
 
     fn measured(glare: True) -> GlareValues {

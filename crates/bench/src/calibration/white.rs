@@ -38,6 +38,18 @@ pub struct Region {
     pub height: usize,
 }
 
+impl From<[usize; 4]> for Region {
+    /// By first column, first row, columns and rows.
+    fn from([x, y, width, height]: [usize; 4]) -> Self {
+        Self {
+            x,
+            y,
+            width,
+            height,
+        }
+    }
+}
+
 /// Why an image of a standard gives no scale.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum WhiteError {
