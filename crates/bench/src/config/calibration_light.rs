@@ -10,7 +10,7 @@ use mock_devices::clock::Clock;
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 
-use super::{CameraConfig, RigConfig};
+use super::RigConfig;
 use crate::device::simulated_camera::SimulatedCamera;
 use crate::device::{Camera, DeviceError};
 use crate::simulation::glare_card;
@@ -51,50 +51,22 @@ impl RigConfig {
         radiance: f64,
         other: f64,
     ) -> Option<(Box<dyn Camera>, Arc<AtomicBool>)> {
-        struct Sphere {
-            resolution_px: [u32; 2],
-            /// With the light off and on.
-            radiance: [Arc<Vec<f32>>; 2],
-            is_on: Arc<AtomicBool>,
-        }
-        impl RadianceSource for Sphere {
-            fn resolution_px(&self) -> [u32; 2] {
-                self.resolution_px
-            }
-            fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
-                self.radiance[usize::from(self.is_on.load(Ordering::Relaxed))].clone()
-            }
-        }
         let sensor = self.simulation.as_ref()?.sensor.clone();
         let is_on = Arc::new(AtomicBool::new(true));
-        let [width, height] = self.camera.resolution_px.map(|n| n as usize);
-        let sphere = Sphere {
-            resolution_px: self.camera.resolution_px,
-            radiance: [other, other + radiance]
-                .map(|radiance| Arc::new(vec![radiance as f32; width * height])),
-            is_on: is_on.clone(),
-        };
-        let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
-        let camera = simulated_camera(&self.camera, sensor, bench, Arc::new(sphere));
+        let pixels = self.camera.resolution_px.map(|n| n as usize);
+        // With the light off and on.
+        let evenly = |radiance: f64| Arc::new(vec![radiance as f32; pixels[0] * pixels[1]]);
+        let off_on = [other, other + radiance].map(evenly);
+        let switch = is_on.clone();
+        let camera = self.camera_before(sensor, still_bench(), move |_| {
+            off_on[usize::from(switch.load(Ordering::Relaxed))].clone()
+        });
         Some((camera, is_on))
     }
 
     /// The simulated rig's lamp, cold, with one channel wired to the switch; `None` for a real
     /// rig.
     pub fn lamp_on_card(&self, channel: u8) -> Option<LampBench> {
-        struct Card {
-            resolution_px: [u32; 2],
-        }
-        impl RadianceSource for Card {
-            fn resolution_px(&self) -> [u32; 2] {
-                self.resolution_px
-            }
-            fn radiance(&self, light: &Illumination) -> Arc<Vec<f32>> {
-                let pixels = self.resolution_px.iter().product::<u32>() as usize;
-                let relative: f64 = light.channels.iter().sum();
-                Arc::new(vec![(UNIFORM_RADIANCE * relative) as f32; pixels])
-            }
-        }
         let simulation = self.simulation.as_ref()?;
         let config = BenchConfig {
             lamp: simulation.lamp,
@@ -102,13 +74,12 @@ impl RigConfig {
         };
         let clock = Clock::instant();
         let bench = SimulatedBench::new(config, clock.clone());
-        let resolution_px = self.camera.resolution_px;
-        let camera = simulated_camera(
-            &self.camera,
-            simulation.sensor.clone(),
-            bench.clone(),
-            Arc::new(Card { resolution_px }),
-        );
+        let pixels = self.camera.resolution_px.iter().product::<u32>() as usize;
+        let sensor = simulation.sensor.clone();
+        let camera = self.camera_before(sensor, bench.clone(), move |light| {
+            let relative: f64 = light.channels.iter().sum();
+            Arc::new(vec![(UNIFORM_RADIANCE * relative) as f32; pixels])
+        });
         let switch = move |on: bool| {
             let mut drive = [0.0; 3];
             if on && let Some(drive) = drive.get_mut(usize::from(channel)) {
@@ -127,52 +98,62 @@ impl RigConfig {
     /// The simulated camera before a white card with two black traps of this reflectance over
     /// the card's. `None` for a real rig.
     pub fn camera_before_traps(&self, trap_reflectance: f64) -> Option<TrapCard> {
-        struct Card {
-            resolution_px: [u32; 2],
-            radiance: Arc<Vec<f32>>,
-        }
-        impl RadianceSource for Card {
-            fn resolution_px(&self) -> [u32; 2] {
-                self.resolution_px
-            }
-            fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
-                self.radiance.clone()
-            }
-        }
         let simulation = self.simulation.as_ref()?;
-        let resolution_px = self.camera.resolution_px;
         let (card, traps) = glare_card::card(
-            resolution_px.map(|n| n as usize),
+            self.camera.resolution_px.map(|n| n as usize),
             [UNIFORM_RADIANCE, trap_reflectance],
             simulation.glare,
         );
-        let card = Card {
-            resolution_px,
-            radiance: Arc::new(card),
-        };
-        let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
+        let card = Arc::new(card);
         let sensor = simulation.sensor.clone();
-        let camera = simulated_camera(&self.camera, sensor, bench, Arc::new(card));
+        let camera = self.camera_before(sensor, still_bench(), move |_| card.clone());
         Some(TrapCard { camera, traps })
+    }
+
+    /// The simulated camera before what has this radiance under the bench's lamp, row by row.
+    fn camera_before(
+        &self,
+        sensor: SensorConfig,
+        bench: SimulatedBench,
+        radiance: impl Fn(&Illumination) -> Arc<Vec<f32>> + Send + Sync + 'static,
+    ) -> Box<dyn Camera> {
+        let camera = &self.camera;
+        let config = MockCameraConfig {
+            exposure_range_s: camera.exposure_range.map(|s| s.0),
+            exposure_step_s: camera.exposure_step.0,
+            settings_latency_frames: camera.settings_latency_frames,
+            has_shutter: true,
+            // Frames of a calibration and of a capture must not share their noise.
+            noise_seed: sensor.seed ^ 0x6361_6c69_6272_6174,
+            ..MockCameraConfig::default()
+        };
+        let view = View {
+            resolution_px: camera.resolution_px,
+            radiance,
+        };
+        let mock = MockCamera::new(config, bench, SensorModel::new(sensor), Arc::new(view));
+        let serial = camera.serial.clone().unwrap_or_default();
+        Box::new(SimulatedCamera::new(mock, serial, camera.mosaic))
     }
 }
 
-fn simulated_camera(
-    camera: &CameraConfig,
-    sensor: SensorConfig,
-    bench: SimulatedBench,
-    source: Arc<dyn RadianceSource>,
-) -> Box<dyn Camera> {
-    let config = MockCameraConfig {
-        exposure_range_s: camera.exposure_range.map(|s| s.0),
-        exposure_step_s: camera.exposure_step.0,
-        settings_latency_frames: camera.settings_latency_frames,
-        has_shutter: true,
-        // Frames of a calibration and of a capture must not share their noise.
-        noise_seed: sensor.seed ^ 0x6361_6c69_6272_6174,
-        ..MockCameraConfig::default()
-    };
-    let mock = MockCamera::new(config, bench, SensorModel::new(sensor), source);
-    let serial = camera.serial.clone().unwrap_or_default();
-    Box::new(SimulatedCamera::new(mock, serial, camera.mosaic))
+/// A bench on which nothing moves.
+fn still_bench() -> SimulatedBench {
+    SimulatedBench::new(BenchConfig::default(), Clock::instant())
+}
+
+/// What has a radiance by the light on it.
+struct View<F> {
+    resolution_px: [u32; 2],
+    radiance: F,
+}
+
+impl<F: Fn(&Illumination) -> Arc<Vec<f32>> + Send + Sync> RadianceSource for View<F> {
+    fn resolution_px(&self) -> [u32; 2] {
+        self.resolution_px
+    }
+
+    fn radiance(&self, light: &Illumination) -> Arc<Vec<f32>> {
+        (self.radiance)(light)
+    }
 }
