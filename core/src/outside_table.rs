@@ -25,6 +25,14 @@ impl Row {
         let is_it = |field: &String| field.eq_ignore_ascii_case(name);
         self.fields.iter().position(is_it)
     }
+
+    /// The column of this name.
+    ///
+    /// # Errors
+    /// In words: there is none.
+    pub fn needed_column(&self, name: &str) -> Result<usize, String> {
+        self.column(name).ok_or_else(|| format!("no column {name}"))
+    }
 }
 
 /// A field in double quotes that its line does not end.
@@ -66,6 +74,18 @@ pub fn rows(text: &str) -> Result<Vec<Row>, Unclosed> {
         }
     }
     Ok(rows)
+}
+
+/// The first row, which names the columns, and the rows below it.
+///
+/// # Errors
+/// In words: as [`rows`], or there is no row.
+pub fn with_header(text: &str) -> Result<(Row, Vec<Row>), String> {
+    let mut rows = rows(text).map_err(|error| error.to_string())?;
+    match rows.is_empty() {
+        true => Err("the file is empty".to_owned()),
+        false => Ok((rows.remove(0), rows)),
+    }
 }
 
 fn separator_of(line: &str) -> u8 {

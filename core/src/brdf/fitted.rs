@@ -13,15 +13,17 @@ use crate::outside_table::{self, Row};
 use crate::shown::excerpt;
 
 /// Weights and atoms of a fit.
-const WEIGHTS_FILE: &str = "weights.csv";
+pub const WEIGHTS_FILE: &str = "weights.csv";
 /// Its model discrepancy; absent where there is none.
-const DISCREPANCY_FILE: &str = "discrepancy.csv";
-/// What [`read`] reads of a fit's folder.
-pub const FILES: [&str; 2] = [WEIGHTS_FILE, DISCREPANCY_FILE];
+pub const DISCREPANCY_FILE: &str = "discrepancy.csv";
 
-/// Whether a fit's folder is whole without this file.
-pub fn is_optional(path: &Path) -> bool {
-    path.ends_with(DISCREPANCY_FILE)
+/// Names of the files that [`read`] reads of this folder of a fit.
+pub fn files(folder: &Path) -> Vec<&'static str> {
+    let has_discrepancy = folder.join(DISCREPANCY_FILE).try_exists().unwrap_or(true);
+    match has_discrepancy {
+        true => vec![WEIGHTS_FILE, DISCREPANCY_FILE],
+        false => vec![WEIGHTS_FILE],
+    }
 }
 
 /// Reads the material of a fit's folder: the mixture of `weights.csv`, whose atoms are those of
@@ -59,26 +61,10 @@ pub fn read(folder: &Path) -> Result<Material, BrdfError> {
     }
 }
 
-type Table = (Row, Vec<Row>);
-
-fn table(csv: &str) -> Result<Table, String> {
-    let mut rows = outside_table::rows(csv).map_err(|error| error.to_string())?;
-    match rows.is_empty() {
-        true => Err("the file is empty".to_owned()),
-        false => Ok((rows.remove(0), rows)),
-    }
-}
-
-fn column(header: &Row, name: &str) -> Result<usize, String> {
-    header
-        .column(name)
-        .ok_or_else(|| format!("no column {name}"))
-}
-
 /// The atoms that the rows name, in their order.
 fn atoms(csv: &str) -> Result<Vec<Atom>, String> {
-    let (header, rows) = table(csv)?;
-    let kind = column(&header, "kind")?;
+    let (header, rows) = outside_table::with_header(csv)?;
+    let kind = header.needed_column("kind")?;
     let parameters = ["alpha", "eta", "albedo"].map(|name| header.column(name));
     let atom = |row: &Row| {
         let kind = row.field(kind);
@@ -94,7 +80,7 @@ fn atoms(csv: &str) -> Result<Vec<Atom>, String> {
 
 /// The values at the nodes, which the rows name in order.
 fn discrepancies(csv: &str) -> Result<[Discrepancy; 3], String> {
-    let (header, rows) = table(csv)?;
+    let (header, rows) = outside_table::with_header(csv)?;
     let mut columns = [0; 5];
     let names = [
         "theta_h_deg",
@@ -104,7 +90,7 @@ fn discrepancies(csv: &str) -> Result<[Discrepancy; 3], String> {
         "ln_factor_b",
     ];
     for (column_of, name) in columns.iter_mut().zip(names) {
-        *column_of = column(&header, name)?;
+        *column_of = header.needed_column(name)?;
     }
     if rows.len() != discrepancy::NODES {
         let (found, nodes) = (rows.len(), discrepancy::NODES);

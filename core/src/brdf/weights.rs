@@ -75,14 +75,9 @@ pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfErr
 /// # Errors
 /// In words: a column, atom or number that is missing or wrong.
 pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
-    let rows = outside_table::rows(text).map_err(|error| error.to_string())?;
-    let (header, rows) = rows.split_first().ok_or("the file is empty")?;
+    let (header, rows) = outside_table::with_header(text)?;
     // The columns.
-    let column = |name: &str| {
-        header
-            .column(name)
-            .ok_or_else(|| format!("no column {name}"))
-    };
+    let column = |name: &str| header.needed_column(name);
     let atom_column = column("atom")?;
     let kind_column = column("kind")?;
     let weight_columns = [
@@ -93,7 +88,7 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
     let shape_columns = (column("alpha").ok(), column("eta").ok());
     // One atom a row, which must be the dictionary's.
     let mut weights = [0, 1, 2].map(|_| vec![f64::NAN; dictionary.len()]);
-    for row in rows {
+    for row in &rows {
         let line = row.line;
         let text = row.field(atom_column);
         let index = text

@@ -83,17 +83,15 @@ pub fn scene_files(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, SceneFi
     for (name, path) in scene_paths(&mut config.clone()) {
         // A fit is a folder, of which the material is kept.
         let parts = match path.is_dir() {
-            true => fitted::FILES
+            true => fitted::files(path)
+                .into_iter()
                 .map(|part| (format!("{name}/{part}"), path.join(part)))
-                .to_vec(),
+                .collect(),
             false => vec![(name, path.clone())],
         };
         for (name, path) in parts {
             match outside_file::read_regular(&path, LARGEST_FILE_BYTES) {
                 Ok(bytes) => files.push((name, bytes)),
-                Err(error)
-                    if error.kind() == std::io::ErrorKind::NotFound
-                        && fitted::is_optional(&path) => {}
                 Err(source) => return Err(SceneFileError { path, source }),
             }
         }

@@ -35,6 +35,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
+use crate::brdf::fitted::{DISCREPANCY_FILE, WEIGHTS_FILE};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::config::fit::FitRequest;
@@ -59,7 +60,6 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
-const DISCREPANCY_FILE: &str = "discrepancy.csv";
 /// Posterior samples of a fit.
 pub const POSTERIOR_FILE: &str = "posterior.npy";
 
@@ -473,7 +473,7 @@ fn out_of_range(
 /// Ranges and shapes, checked before writing and after reading.
 fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     let toml = folder.join(FIT_FILE);
-    let csv = folder.join("weights.csv");
+    let csv = folder.join(WEIGHTS_FILE);
 
     // fit.toml.
     if !record.loss.is_finite() {

@@ -8,9 +8,10 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DISCREPANCY_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, POSTERIOR_FILE,
-    PosteriorRecord, Verdict, check, out_of_range, tables,
+    FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, POSTERIOR_FILE, PosteriorRecord,
+    Verdict, check, out_of_range, tables,
 };
+use crate::brdf::fitted::{DISCREPANCY_FILE, WEIGHTS_FILE};
 use crate::file_system;
 use crate::outside_file::read_regular;
 use crate::radiance_image::exr;
@@ -74,7 +75,7 @@ pub fn encode(
         files.push((POSTERIOR_FILE.to_owned(), posterior.to_npy()));
     }
     for (name, text) in [
-        ("weights.csv", tables::weights_to_csv(record)),
+        (WEIGHTS_FILE, tables::weights_to_csv(record)),
         ("table.csv", tables::table_to_csv(&record.table)),
         ("trace.csv", tables::trace_to_csv(&record.trace)),
         (FIT_FILE, to_toml(record)),
@@ -218,7 +219,7 @@ pub fn parse(
         ));
     }
     let mut record: FitRecord = from_toml(&toml_path, &toml_text)?;
-    let (path, csv) = text("weights.csv")?;
+    let (path, csv) = text(WEIGHTS_FILE)?;
     (record.atoms, record.weights, record.weight_deviations) =
         tables::weights_from_csv(&path, &csv)?;
     let (path, csv) = text("table.csv")?;
