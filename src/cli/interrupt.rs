@@ -58,7 +58,8 @@ const CONTINUED: usize = 1;
 /// The signals that are listened to; and [`suspend`] knows of those that continue.
 pub(super) fn signals() -> std::io::Result<Signals> {
     let latest = PAUSE.get_or_init(Arc::default);
-    // In the handlers, because pending signals are told in the order of their numbers.
+    // Stored by the signal handlers, because `Signals` delivers pending signals in the order of their
+    // numbers, not of their arrival.
     register_usize(SIGTSTP, latest.clone(), 0)?;
     register_usize(SIGCONT, latest.clone(), CONTINUED)?;
     Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])

@@ -45,7 +45,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
             fit,
             figures: &measured.emva1288,
         };
-        if let Some(path) = place.beside(&kept, "html", page.render()?.as_bytes())? {
+        if let Some(path) = place.write_plot(&kept, "html", page.render()?.as_bytes())? {
             context.note(format_args!("EMVA 1288 figures: {}", path.display()));
         }
     }

@@ -94,8 +94,7 @@ impl Place {
         })
     }
 
-    /// Draws the figure of a record into the folder `plots` next to the records, named as the
-    /// record: SVG and PNG.
+    /// Draws the figure of a record as SVG and PNG, with [`Self::write_plot`].
     ///
     /// # Errors
     /// [`CalibratingError::Plot`], [`CalibratingError::File`].
@@ -103,18 +102,18 @@ impl Place {
     pub fn draw(&self, kept: Kept, figure: &Figure) -> Result<Kept, CalibratingError> {
         let png = figure.png()?;
         let svg = figure.svg()?;
-        self.beside(&kept, "svg", svg.as_bytes())?;
-        let figure = self.beside(&kept, "png", &png)?;
+        self.write_plot(&kept, "svg", svg.as_bytes())?;
+        let figure = self.write_plot(&kept, "png", &png)?;
         Ok(Kept { figure, ..kept })
     }
 
-    /// Puts a file into the folder `plots` next to the records, named as the record; its path,
-    /// where records are in a folder.
+    /// Writes `plots/RECORD.ending` in the folder of the records; returns its path, or `None` where
+    /// they are in no folder.
     ///
     /// # Errors
     /// [`CalibratingError::File`].
     #[cfg(feature = "figures")]
-    pub fn beside(
+    pub fn write_plot(
         &self,
         kept: &Kept,
         ending: &str,
