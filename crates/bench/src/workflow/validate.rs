@@ -13,14 +13,16 @@ use super::notice::Observer;
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
 use super::validate_baselines::{Fitted, Neighbours, lambertian};
-use super::validate_pixels::{LeftOut, Pixel, compared, of_sample};
+use super::validate_pixels::{Pixel, compared, of_sample};
 use super::validate_predict::predict;
-use super::validate_score::{Compared, Tally, Validation};
+use super::validate_score::{Compared, Tally};
 use super::{FitRequest, NamedImage, WorkflowError};
 use crate::cells::AverageError;
 use crate::config::scene::SceneFile;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record::FitRecord;
+use crate::session::utc_now;
+use crate::session::validation::{FORMAT, LeftOut, Validation};
 use crate::transport::Scene;
 
 /// Which lights are fitted; the rest is predicted.
@@ -154,7 +156,9 @@ pub fn validate_session(
         })
     });
     let images: Vec<NamedImage> = whole.collect::<Result<_, _>>()?;
-    validate(&prepared.scene, &prepared.plan, &images, hold_out, observer)
+    let mut found = validate(&prepared.scene, &prepared.plan, &images, hold_out, observer)?;
+    found.validation.simulated = prepared.session.record().simulated;
+    Ok(found)
 }
 
 /// Validates images of a scene file, one per light in its order.
@@ -292,6 +296,13 @@ fn validate(
     }
     Ok(Validated {
         validation: Validation {
+            format: FORMAT,
+            simulated: false,
+            made_utc: utc_now(),
+            rig: env!("CARGO_PKG_VERSION").to_owned(),
+            dictionary: record.dictionary.clone(),
+            verdict: record.verdict(),
+            images: images.iter().map(|image| image.name.clone()).collect(),
             fitted_lights: fitted,
             posterior_samples: predicted.samples,
             all: all.score(lights.len(), has_intervals),

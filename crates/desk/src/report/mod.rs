@@ -10,7 +10,6 @@ mod budget;
 mod captured;
 pub mod certificate;
 pub mod figures;
-pub mod images;
 pub mod load;
 pub mod sensor_page;
 mod summary;

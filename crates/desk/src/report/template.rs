@@ -4,7 +4,7 @@ use minijinja::value::Value;
 use minijinja::{Environment, UndefinedBehavior, context};
 
 use super::budget::budget_view;
-use super::images;
+use crate::plot::radiance as images;
 use super::summary::{percent, score_rows, short, tiles, verdict_view};
 use super::value::{value, values};
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};

@@ -16,7 +16,7 @@ use crate::brdf::sphere::sphere_images;
 use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
 use crate::radiance_image::exr;
-use crate::report::images::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
+use crate::plot::radiance::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
 use crate::session::Session;
 use crate::session::layout::{self, DERIVED_FOLDER, FITS_FOLDER};
 
