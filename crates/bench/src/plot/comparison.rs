@@ -11,6 +11,8 @@ use crate::radiance_image::RadianceImage;
 
 /// Pixels a side of an image at most.
 const LARGEST_PX: usize = 400;
+/// Pixels of the PNG that a side of an image takes at most, where it has fewer than half of them.
+const SHOWN_PX: usize = 500;
 /// Pixels of the PNG per CSS pixel, so that a pixel becomes a whole number of them.
 const SCALE: f64 = 2.5;
 /// Part of the pixels whose difference the scale holds.
@@ -58,7 +60,7 @@ pub fn comparison(name: &str, captured: &RadianceImage, predicted: &RadianceImag
     ];
 
     // Where they stand.
-    let repeats = (LARGEST_PX / captured.width.max(captured.height).max(1)).max(1) as f64;
+    let repeats = (SHOWN_PX / captured.width.max(captured.height).max(1)).max(1) as f64;
     let cell_px = [captured.width, captured.height].map(|side| side as f64 * repeats / SCALE);
     let column_px = cell_px[0].max(120.0) + GAP_PX;
     let bar_left_px = GAP_PX + 3.0 * column_px;
