@@ -213,11 +213,11 @@ fn encode(folder: &Path, record: &Validation) -> Result<Vec<u8>, FitRecordError>
 fn files_of(
     folder: &Path,
     record: &Validation,
-    pictures: Vec<(String, Vec<u8>)>,
+    pictures: &[(String, Vec<u8>)],
 ) -> Result<Vec<(String, Vec<u8>)>, FitRecordError> {
     let text = encode(folder, record)?;
     let last = (VALIDATION_FILE.to_owned(), text);
-    Ok(pictures.into_iter().chain([last]).collect())
+    Ok(pictures.iter().cloned().chain([last]).collect())
 }
 
 /// Adds a validation with its pictures, by name, to a session under the next free number and
@@ -228,7 +228,7 @@ fn files_of(
 pub fn commit(
     session: &mut SessionWriter,
     record: &Validation,
-    pictures: Vec<(String, Vec<u8>)>,
+    pictures: &[(String, Vec<u8>)],
 ) -> Result<PathBuf, FitRecordError> {
     let files = files_of(Path::new(VALIDATIONS_FOLDER), record, pictures)?;
     Ok(commit_numbered(session, VALIDATIONS_FOLDER, files)?)
@@ -242,7 +242,7 @@ pub fn commit(
 pub fn write(
     folder: &Path,
     record: &Validation,
-    pictures: Vec<(String, Vec<u8>)>,
+    pictures: &[(String, Vec<u8>)],
 ) -> Result<(), FitRecordError> {
     write_files(folder, files_of(folder, record, pictures)?)
 }
@@ -394,7 +394,7 @@ mod tests {
         let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
         let picture = || vec![(picture_file(1), b"picture".to_vec())];
         for number in ["0", "1"] {
-            let written = commit(&mut writer, &example(), picture()).unwrap();
+            let written = commit(&mut writer, &example(), &picture()).unwrap();
             assert_eq!(written, root.join(VALIDATIONS_FOLDER).join(number));
         }
         writer.refresh_manifest().unwrap();

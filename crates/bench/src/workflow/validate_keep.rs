@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{Validated, WorkflowError};
+use super::{LightPrediction, Validated, WorkflowError};
 use crate::session::commit::SystemDisk;
 #[cfg(feature = "figures")]
 use crate::session::fit_record::FitRecordError;
@@ -23,9 +23,8 @@ pub fn check_keeps_validations(root: &Path) -> Result<(), WorkflowError> {
 /// # Errors
 /// A session that takes no more.
 pub fn keep_validation(root: &Path, found: &Validated) -> Result<PathBuf, WorkflowError> {
-    let pictures = pictures(found)?;
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    let folder = validation::commit(&mut writer, &found.validation, pictures)?;
+    let folder = validation::commit(&mut writer, &found.validation, &found.pictures)?;
     writer.refresh_manifest()?;
     Ok(folder)
 }
@@ -38,29 +37,28 @@ pub fn write_validation(folder: &Path, found: &Validated) -> Result<(), Workflow
     Ok(validation::write(
         folder,
         &found.validation,
-        pictures(found)?,
+        &found.pictures,
     )?)
 }
 
-/// The picture of each predicted light, by name: none in a build that draws no figures.
+/// The picture of a predicted light with its name; `None` in a build that draws no figures.
 #[cfg(feature = "figures")]
-fn pictures(found: &Validated) -> Result<Vec<(String, Vec<u8>)>, WorkflowError> {
-    let drawn = found.predictions.iter().map(|prediction| {
-        let name = validation::picture_file(prediction.light);
-        let figure = crate::plot::comparison(&name, &prediction.captured, &prediction.predicted);
-        match figure.png() {
-            Ok(png) => Ok((name, png)),
-            Err(error) => Err(FitRecordError::Io {
-                path: name.into(),
-                source: std::io::Error::other(error),
-            }
-            .into()),
+pub(super) fn picture_of(
+    prediction: &LightPrediction,
+) -> Result<Option<(String, Vec<u8>)>, WorkflowError> {
+    let name = validation::picture_file(prediction.light);
+    let figure = crate::plot::comparison(&name, &prediction.captured, &prediction.predicted);
+    match figure.png() {
+        Ok(png) => Ok(Some((name, png))),
+        Err(error) => Err(FitRecordError::Io {
+            path: name.into(),
+            source: std::io::Error::other(error),
         }
-    });
-    drawn.collect()
+        .into()),
+    }
 }
 
 #[cfg(not(feature = "figures"))]
-fn pictures(_: &Validated) -> Result<Vec<(String, Vec<u8>)>, WorkflowError> {
-    Ok(Vec::new())
+pub(super) fn picture_of(_: &LightPrediction) -> Result<Option<(String, Vec<u8>)>, WorkflowError> {
+    Ok(None)
 }

@@ -55,7 +55,7 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     let root = folder.path().join(&name);
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
     let picture = vec![(validation::picture_file(1), b"png".to_vec())];
-    validation::commit(&mut writer, &validation::example(), picture).unwrap();
+    validation::commit(&mut writer, &validation::example(), &picture).unwrap();
     drop(writer);
     let detail = serde_json::to_value(pages.detail(&name).unwrap()).unwrap();
     let shown = &detail["validation"];
