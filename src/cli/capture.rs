@@ -76,13 +76,16 @@ pub struct CaptureArgs {
     /// holds nothing up
     #[arg(long, conflicts_with_all = ["json", "dry_run"])]
     events: bool,
+    #[arg(skip)]
+    names_next: bool,
     #[cfg(feature = "console")]
     #[command(flatten)]
     console: ConsoleOptions,
 }
 
 impl CaptureArgs {
-    /// `--rig simulated --lights COUNT --out OUT`, with or without `--events`.
+    /// `--rig simulated --lights COUNT --out OUT`, with or without `--events`; the end names
+    /// what a newcomer may try next.
     pub fn on_simulated_rig(count: usize, out: PathBuf, events: bool) -> Self {
         Self {
             rig: RigArg {
@@ -98,6 +101,7 @@ impl CaptureArgs {
             no_fit: false,
             json: false,
             events,
+            names_next: true,
             #[cfg(feature = "console")]
             console: ConsoleOptions::default(),
         }
@@ -240,6 +244,12 @@ fn carry_out(
         let unfitted = unfitted(args, &root, lines);
         interrupt::end_on_signal(context, &interrupt, unfitted)?;
         fit::fit_and_report(&root, context, lines)?;
+        if args.names_next {
+            context.note(format!(
+                "next: `rig validate {}` fits a part of the lights and predicts the rest, within a minute or two",
+                root.display()
+            ));
+        }
     }
     print_result(args, &root, &ran)
 }

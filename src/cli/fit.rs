@@ -53,10 +53,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
     })?;
     // The session's report is of its latest fit.
     let report = match (&args.session, &args.out) {
-        (Some(session), None) => report(session, context).unwrap_or_else(|error| {
-            context.warn(format!("the report was not written: {}", error.fact()));
-            None
-        }),
+        (Some(session), None) => report_anew(session, context),
         _ => None,
     };
     if let Some(lines) = &lines {
@@ -147,7 +144,10 @@ fn fit(
 ) -> Result<FitOutcome, CliError> {
     let progress = FitProgress::new(context, lines);
     let outcome = match out {
-        None => fit_session(session, request, &progress).map_err(|error| elsewhere(session, error)),
+        None => {
+            let fitted = fit_session(session, request, &progress);
+            fitted.map_err(|error| elsewhere("fit", session, error))
+        }
         Some(out) => Ok(fit_session_into(session, out, request, &progress)?),
     }?;
     progress.finish(&outcome.record);
@@ -155,7 +155,8 @@ fn fit(
 }
 
 /// The error, with the way out where it is that nothing can be written in the session.
-fn elsewhere(session: &Path, error: WorkflowError) -> CliError {
+/// `command` is `fit` or another that takes SESSION and --out.
+pub(super) fn elsewhere(command: &str, session: &Path, error: WorkflowError) -> CliError {
     use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
     let is_closed = matches!(
         &error,
@@ -166,7 +167,7 @@ fn elsewhere(session: &Path, error: WorkflowError) -> CliError {
     let error = CliError::from(error);
     match is_closed {
         true => error.hint(format!(
-            "`rig fit {} --out DIR` only reads the session and writes the fit elsewhere",
+            "`rig {command} {} --out DIR` only reads the session and writes the result elsewhere",
             session.display()
         )),
         false => error,
@@ -193,6 +194,14 @@ pub(super) fn fit_and_report(
         lines.send(&fitted(&outcome, report.as_deref()));
     }
     Ok(outcome.record.verdict())
+}
+
+/// Writes the report of a result that is kept already: a warning where that fails.
+pub(super) fn report_anew(session: &Path, context: &Context) -> Option<PathBuf> {
+    report(session, context).unwrap_or_else(|error| {
+        context.warn(format!("the report was not written: {}", error.fact()));
+        None
+    })
 }
 
 /// Writes the report; where this program can.

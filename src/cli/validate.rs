@@ -4,14 +4,17 @@ use std::path::PathBuf;
 
 use super::fit_progress::FitProgress;
 use super::table::Table;
-use super::{CliError, Context, output};
+use super::{CliError, Context, fit, output};
+use crate::session::fit_record;
+use crate::session::validation::HEADINGS;
 use crate::workflow::{
-    FitRequest, HoldOut, LightScore, RegionScore, Validated, validate_images, validate_session,
+    FitRequest, HoldOut, Validated, Validation, WorkflowError, check_keeps_validations,
+    keep_validation, validate_images, validate_session, write_validation,
 };
 
 /// Fits a part of the lights and predicts the images of the rest
 ///
-/// Nothing is written; a session is only read.
+/// A session keeps the result, with a picture of each predicted light, and its report shows it.
 #[derive(clap::Args, Debug)]
 pub struct ValidateArgs {
     /// The session's folder
@@ -35,6 +38,10 @@ pub struct ValidateArgs {
     /// so that the fit keeps most of its images)
     #[arg(long, value_name = "N")]
     hold_out: Option<usize>,
+    /// Folder for the result and a picture of each predicted light; it must not exist or be empty.
+    /// With SESSION, the result goes there instead of into the session, which is only read
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// The result as JSON
     #[arg(long)]
     json: bool,
@@ -49,13 +56,33 @@ pub fn run(args: &ValidateArgs, context: &Context) -> Result<(), CliError> {
         (None, Some(count)) => HoldOut::Count(count),
         (None, None) => HoldOut::default(),
     };
+    // Whether it can be kept, before what may take hours.
+    let kept_in = args.session.as_ref().filter(|_| args.out.is_none());
+    if let Some(out) = &args.out {
+        fit_record::check_folder(out).map_err(WorkflowError::from)?;
+    }
+    if let Some(session) = kept_in {
+        let keeps = check_keeps_validations(session);
+        keeps.map_err(|error| fit::elsewhere("validate", session, error))?;
+    }
     let progress = FitProgress::new(context, None);
     let validated = validated(args, &hold_out, &progress)?;
     progress.finish(&validated.fit);
+
+    // Where it is kept.
+    if let Some(out) = &args.out {
+        write_validation(out, &validated)?;
+        context.note(format!("validation: {}", out.display()));
+    }
+    if let Some(session) = kept_in {
+        let folder = keep_validation(session, &validated)?;
+        context.note(format!("validation: {}", folder.display()));
+        fit::report_anew(session, context);
+    }
     if args.json {
         return output::write_json(&validated.validation);
     }
-    print(&validated, context)
+    print(&validated.validation, context)
 }
 
 fn validated(
@@ -78,59 +105,11 @@ fn validated(
 }
 
 /// The errors as a table.
-fn print(validated: &Validated, context: &Context) -> Result<(), CliError> {
-    let found = &validated.validation;
-    let numbers: Vec<String> = found
-        .fitted_lights
-        .iter()
-        .map(ToString::to_string)
-        .collect();
-    context.note(format!(
-        "lights {} were fitted, the others predicted",
-        numbers.join(", ")
-    ));
-    let mut table = Table::new(&[
-        "light",
-        " error",
-        " θh > 15°",
-        " θh ≤ 15°",
-        " noise",
-        " Lambertian",
-        " neighbours",
-        " in 95% interval",
-        " half width",
-        " pixels",
-        " left out",
-    ]);
-    for score in &found.lights {
-        table.row(cells(score.light.to_string(), score));
-    }
-    table.row(cells("all".to_owned(), &found.all));
+fn print(found: &Validation, context: &Context) -> Result<(), CliError> {
+    context.note(found.division());
+    let mut headings = HEADINGS.map(|heading| format!(" {heading}"));
+    headings[0] = HEADINGS[0].to_owned();
+    let mut table = Table::new(&headings.each_ref().map(String::as_str));
+    found.table().into_iter().for_each(|row| table.row(row));
     table.print()
-}
-
-fn cells(name: String, score: &LightScore) -> [String; 11] {
-    let percent =
-        |value: Option<f64>| value.map_or(String::new(), |v| format!("{:.1}%", 100.0 * v));
-    let RegionScore {
-        pixels,
-        relative_rms,
-        noise,
-        lambertian,
-        neighbours,
-    } = score.overall;
-    let left_out = score.left_out;
-    [
-        name,
-        percent(relative_rms),
-        percent(score.away.relative_rms),
-        percent(score.highlight.relative_rms),
-        percent(noise),
-        percent(lambertian),
-        percent(neighbours),
-        percent(score.coverage),
-        percent(score.median_half_width),
-        pixels.to_string(),
-        (left_out.masked + left_out.invalid + left_out.unlit).to_string(),
-    ]
 }

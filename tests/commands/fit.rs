@@ -539,14 +539,24 @@ fn images_of_another_size_are_refused_by_their_headers() {
 fn a_light_that_was_not_fitted_is_predicted() {
     let home = photographed();
     let validate = "validate --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --json";
-    let done = rig(home.path(), &format!("{validate} --fit-lights 1"));
+    let done = rig(home.path(), &format!("{validate} --fit-lights 1 --out v"));
     assert!(done.status.success(), "{done:?}");
     let found: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(found["fitted_lights"], serde_json::json!([1]));
     assert_eq!(found["lights"][0]["light"], 0);
+    assert_eq!(found["images"][0], "i_L000.exr");
     let error = found["all"]["overall"]["relative_rms"].as_f64().unwrap();
     let coverage = found["all"]["coverage"].as_f64().unwrap();
     assert!(error < 0.08 && coverage > 0.85, "{found}");
+
+    // What is kept is what was printed, with a picture; a folder is never written over.
+    let kept = std::fs::read(home.path().join("v/validation.json")).unwrap();
+    let kept = rig::session::validation::parse("v".as_ref(), &kept).unwrap();
+    assert_eq!(serde_json::to_value(kept).unwrap(), found);
+    let picture = image::open(home.path().join("v/light_L000.png")).unwrap();
+    assert!(picture.width() > picture.height(), "{picture:?}");
+    let again = rig(home.path(), &format!("{validate} --fit-lights 1 --out v"));
+    assert_eq!(again.status.code(), Some(1));
 
     // The images of a wrong order are remarked on, as before a fit.
     let exchanged = validate.replace("i_L000.exr i_L001.exr", "i_L001.exr i_L000.exr");

@@ -9,7 +9,6 @@ use rig_bench::{
     beneath, calibration, capture, catalogue, config, fault, session, shell_words, workflow,
 };
 use rig_desk::export;
-use rig_desk::report;
 use rig_device::{device, radiometry};
 
 pub mod console;

@@ -1,4 +1,4 @@
-//! Figures: charts, bars, heat maps, polar plots and rows of pictures.
+//! Figures: charts, bars, heat maps, polar plots, rows of pictures, images next to each other.
 //!
 //! `plotters` draws them; a [`Figure`] is then used as an SVG file or the same as PNG
 //! (dark on white, in an embedded font, so that it looks alike on any machine), or inside
@@ -6,10 +6,12 @@
 
 pub mod axis;
 pub mod colors;
+pub mod radiance;
 
 mod bars;
 mod canvas;
 mod chart;
+mod comparison;
 mod heat_map;
 mod picture;
 mod polar;
@@ -18,8 +20,9 @@ pub use axis::Axis;
 pub use bars::{Bar, BarRow, bars};
 pub use canvas::{Figure, NEUTRAL, page_color};
 pub use chart::{Chart, Mark, Series, chart, charts};
+pub use comparison::comparison;
 pub use heat_map::{HeatMap, HeatMaps, heat_maps};
-pub use picture::{Picture, Tile, pictures};
+pub use picture::{Picture, Tile, pictures, png_data_uri};
 pub use polar::{Lobe, PolarPanel, polar, polars};
 
 /// Why a figure could not be drawn.

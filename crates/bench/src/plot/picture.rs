@@ -56,13 +56,16 @@ impl Picture {
             encoder.write_image(&bytes, width, height, ExtendedColorType::Rgb8)
         };
         match written {
-            Ok(()) => format!(
-                "data:image/png;base64,{}",
-                base64::engine::general_purpose::STANDARD.encode(png)
-            ),
+            Ok(()) => png_data_uri(&png),
             Err(_) => String::new(),
         }
     }
+}
+
+/// A PNG file as a `data:` address.
+pub fn png_data_uri(png: &[u8]) -> String {
+    let text = base64::engine::general_purpose::STANDARD.encode(png);
+    format!("data:image/png;base64,{text}")
 }
 
 /// A square picture with an optional smaller one in its lower right corner.

@@ -54,6 +54,7 @@ pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,
 };
+pub(in crate::session) use folder::{commit_numbered, numbers_of, write_files};
 pub use posterior::PosteriorRecord;
 pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
@@ -456,7 +457,7 @@ pub enum FitRecordError {
     Image(#[from] ExrError),
 }
 
-fn out_of_range(
+pub(in crate::session) fn out_of_range(
     path: &Path,
     key: impl Into<String>,
     value: impl ToString,

@@ -10,7 +10,9 @@ use sha2::{Digest, Sha256};
 
 use super::SessionError;
 use super::journal::{FileDigest, Journal};
-use super::layout::{DERIVED_FOLDER, FITS_FOLDER, JOURNAL_FILE, QUARANTINE_FOLDER, RAW_FOLDER};
+use super::layout::{
+    DERIVED_FOLDER, FITS_FOLDER, JOURNAL_FILE, QUARANTINE_FOLDER, RAW_FOLDER, VALIDATIONS_FOLDER,
+};
 use crate::checksum::hex;
 use crate::outside_file::open_regular;
 
@@ -19,8 +21,18 @@ const LARGEST_READ_BYTES: u64 = 2 << 30;
 
 /// The file's bytes, checked against its record.
 pub(super) fn read(root: &Path, file: &FileDigest) -> Result<Vec<u8>, SessionError> {
-    if file.bytes > LARGEST_READ_BYTES {
-        let why = format!("it has {} bytes, too many to be read", file.bytes);
+    read_within(root, file, LARGEST_READ_BYTES)
+}
+
+/// Likewise of a file of at most so many bytes.
+pub(super) fn read_within(
+    root: &Path,
+    file: &FileDigest,
+    largest_bytes: u64,
+) -> Result<Vec<u8>, SessionError> {
+    if file.bytes > largest_bytes {
+        let bytes = file.bytes;
+        let why = format!("it has {bytes} bytes, but at most {largest_bytes} are read");
         return Err(SessionError::malformed(&root.join(&file.path), why));
     }
     let mut bytes = Vec::new();
@@ -120,6 +132,7 @@ pub(super) fn own_names(journal: &Journal) -> BTreeSet<PathBuf> {
         RAW_FOLDER,
         DERIVED_FOLDER,
         FITS_FOLDER,
+        VALIDATIONS_FOLDER,
         QUARANTINE_FOLDER,
     ];
     let mut names: BTreeSet<PathBuf> = each.into_iter().map(PathBuf::from).collect();

@@ -25,6 +25,8 @@ pub const DERIVED_FOLDER: &str = "derived";
 pub const SESSIONS_FOLDER: &str = "sessions";
 /// One numbered folder per fit.
 pub const FITS_FOLDER: &str = "fits";
+/// One numbered folder per validation.
+pub const VALIDATIONS_FOLDER: &str = "validations";
 /// The report that a person reads.
 pub const REPORT_FILE: &str = "report.html";
 /// SHA-256 of every journalled file, as `sha256sum -c` reads it.
@@ -104,10 +106,12 @@ pub fn is_inside(path: &str) -> bool {
 pub fn is_derived(path: &str) -> bool {
     path == REPORT_FILE
         || path == MANIFEST_FILE
-        || [DERIVED_FOLDER, FITS_FOLDER].iter().any(|folder| {
-            path.strip_prefix(folder)
-                .is_some_and(|p| p.starts_with('/'))
-        })
+        || [DERIVED_FOLDER, FITS_FOLDER, VALIDATIONS_FOLDER]
+            .iter()
+            .any(|folder| {
+                path.strip_prefix(folder)
+                    .is_some_and(|p| p.starts_with('/'))
+            })
 }
 
 #[cfg(test)]
@@ -146,6 +150,7 @@ mod tests {
             assert!(!is_inside(path), "{path:?}");
         }
         assert!(is_inside("raw/L000_E00_R00_light.png"));
-        assert!(is_derived("fits/1/fit.toml") && !is_derived("fitsomething"));
+        assert!(is_derived("fits/1/fit.toml") && is_derived("validations/0/light_L001.png"));
+        assert!(!is_derived("fitsomething"));
     }
 }

@@ -8,6 +8,7 @@
 //!   calibration/      copies of what was used
 //!   derived/radiance_L003.exr     merged radiance; can be made again
 //!   fits/<n>/         one folder per fit
+//!   validations/<n>/  one folder per validation
 //!   report.html
 //!   manifest-sha256.txt           for `sha256sum -c`
 //!   quarantine/<n>/   what a resume found without a journal record
@@ -37,6 +38,7 @@ mod journalled;
 pub mod layout;
 pub mod record;
 mod store;
+pub mod validation;
 pub mod verify;
 
 pub use captured_rig::{SceneFileError, scene_files};

@@ -62,12 +62,7 @@ impl Session {
             });
         };
         let path = root.join(&session.path);
-        if session.bytes > LARGEST_RECORD_BYTES {
-            let bytes = session.bytes;
-            let why = format!("it has {bytes} bytes, but at most {LARGEST_RECORD_BYTES} are read");
-            return Err(SessionError::malformed(&path, why));
-        }
-        let bytes = journalled::read(root, session)?;
+        let bytes = journalled::read_within(root, session, LARGEST_RECORD_BYTES)?;
         let text = str::from_utf8(&bytes).map_err(|e| SessionError::malformed(&path, e))?;
         let record: SessionRecord =
             toml::from_str(text).map_err(|e| SessionError::malformed(&path, e))?;
@@ -154,6 +149,18 @@ impl Session {
     /// the journal.
     pub fn read_file(&self, relative: &str) -> Result<Vec<u8>, SessionError> {
         journalled::read(&self.root, self.journalled(relative)?)
+    }
+
+    /// Likewise of a file of at most so many bytes.
+    ///
+    /// # Errors
+    /// Likewise; a longer file, of which nothing is read.
+    pub fn read_file_within(
+        &self,
+        relative: &str,
+        largest_bytes: u64,
+    ) -> Result<Vec<u8>, SessionError> {
+        journalled::read_within(&self.root, self.journalled(relative)?, largest_bytes)
     }
 
     /// A journalled file of any length (merged radiance), checked against the journal piece

@@ -37,6 +37,7 @@ mod summary;
 mod traceability;
 mod validate;
 mod validate_baselines;
+mod validate_keep;
 mod validate_pixels;
 mod validate_predict;
 mod validate_score;
@@ -57,12 +58,12 @@ pub use scene_concern::{DescribedIn, SceneConcern, extent_in_image, millimetres}
 pub use session_images::{SessionImages, session_images};
 pub use stated_result::{StatedResult, StatedResultError};
 pub use traceability::{Reference, Traceability};
+pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
 pub use validate::{
     HoldOut, HoldOutError, LightPrediction, Validated, validate_images, validate_images_in_memory,
     validate_session,
 };
-pub use validate_pixels::LeftOut;
-pub use validate_score::{LightScore, RegionScore, Validation};
+pub use validate_keep::{check_keeps_validations, keep_validation, write_validation};
 
 use std::path::PathBuf;
 

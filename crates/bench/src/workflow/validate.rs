@@ -13,14 +13,17 @@ use super::notice::Observer;
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
 use super::validate_baselines::{Fitted, Neighbours, lambertian};
-use super::validate_pixels::{LeftOut, Pixel, compared, of_sample};
-use super::validate_predict::predict;
-use super::validate_score::{Compared, Tally, Validation};
+use super::validate_keep::picture_of;
+use super::validate_pixels::{Pixel, compared, of_sample};
+use super::validate_predict::{predict, under};
+use super::validate_score::{Compared, Tally};
 use super::{FitRequest, NamedImage, WorkflowError};
 use crate::cells::AverageError;
 use crate::config::scene::SceneFile;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record::FitRecord;
+use crate::session::utc_now;
+use crate::session::validation::{FORMAT, LeftOut, Validation};
 use crate::transport::Scene;
 
 /// Which lights are fitted; the rest is predicted.
@@ -124,8 +127,8 @@ pub struct Validated {
     pub validation: Validation,
     /// The fit of a part of the lights.
     pub fit: FitRecord,
-    /// The images of each predicted light.
-    pub predictions: Vec<LightPrediction>,
+    /// A picture (PNG) of each predicted light, by name: none in a build that draws no figures.
+    pub pictures: Vec<(String, Vec<u8>)>,
 }
 
 /// Validates a session, which is only read. The bench is taken as its records describe it.
@@ -154,7 +157,9 @@ pub fn validate_session(
         })
     });
     let images: Vec<NamedImage> = whole.collect::<Result<_, _>>()?;
-    validate(&prepared.scene, &prepared.plan, &images, hold_out, observer)
+    let mut found = drawn(&prepared.scene, &prepared.plan, &images, hold_out, observer)?;
+    found.validation.simulated = prepared.session.record().simulated;
+    Ok(found)
 }
 
 /// Validates images of a scene file, one per light in its order.
@@ -179,10 +184,11 @@ pub fn validate_images<P: AsRef<Path>>(
         })
     });
     let images: Vec<NamedImage> = read.collect::<Result<_, _>>()?;
-    validate_images_in_memory(&file, &images, hold_out, request, observer)
+    let (scene, plan) = described(&file, request, observer)?;
+    drawn(&scene, &plan, &images, hold_out, observer)
 }
 
-/// Likewise of images in memory.
+/// Likewise of images in memory; `each` takes the images of each predicted light in turn.
 ///
 /// # Errors
 /// Likewise.
@@ -192,22 +198,45 @@ pub fn validate_images_in_memory(
     hold_out: &HoldOut,
     request: &FitRequest,
     observer: &dyn Observer,
-) -> Result<Validated, WorkflowError> {
+    mut each: impl FnMut(LightPrediction),
+) -> Result<(Validation, FitRecord), WorkflowError> {
+    let (scene, plan) = described(file, request, observer)?;
+    validate(&scene, &plan, images, hold_out, observer, |prediction| {
+        each(prediction);
+        Ok(())
+    })
+}
+
+/// The scene of a file, and the plan of a fit of its images.
+fn described(
+    file: &SceneFile,
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<(Scene, FitPlan), WorkflowError> {
     let plan = FitPlan::new(request, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
     check_scene(&scene, DescribedIn::Scene, &file.sample.surface, observer)?;
-    validate(&scene, &plan, images, hold_out, observer)
+    Ok((scene, plan))
 }
 
-/// The scene under some of its lights alone.
-fn under(scene: &Scene, lights: &[usize]) -> Scene {
-    let mut part = scene.clone();
-    part.lights = lights.iter().map(|&light| scene.lights[light]).collect();
-    let falloffs = lights
-        .iter()
-        .filter_map(|&light| scene.falloffs.get(light).cloned());
-    part.falloffs = falloffs.collect();
-    part
+/// Validates, and draws each prediction at once, so that no image of it stays in memory.
+fn drawn(
+    scene: &Scene,
+    plan: &FitPlan,
+    images: &[NamedImage],
+    hold_out: &HoldOut,
+    observer: &dyn Observer,
+) -> Result<Validated, WorkflowError> {
+    let mut pictures = Vec::new();
+    let (validation, fit) = validate(scene, plan, images, hold_out, observer, |prediction| {
+        pictures.extend(picture_of(&prediction)?);
+        Ok(())
+    })?;
+    Ok(Validated {
+        validation,
+        fit,
+        pictures,
+    })
 }
 
 fn validate(
@@ -216,7 +245,8 @@ fn validate(
     images: &[NamedImage],
     hold_out: &HoldOut,
     observer: &dyn Observer,
-) -> Result<Validated, WorkflowError> {
+    mut each: impl FnMut(LightPrediction) -> Result<(), WorkflowError>,
+) -> Result<(Validation, FitRecord), WorkflowError> {
     let (given, lights) = (images.len(), scene.lights.len());
     if given != lights {
         let images = given;
@@ -265,41 +295,57 @@ fn validate(
     let lambertian = lambertian(&seen);
     let mut neighbours = Neighbours::of(&seen);
 
-    // The prediction of the rest.
-    let rest = under(scene, &held_out);
-    let predicted = predict(&rest, &fit.material, &record, observer)?;
-    let has_intervals = predicted.samples > 1;
+    // The prediction of the rest, a few lights at a time.
+    let posterior = record.posterior.as_ref();
+    let has_intervals = posterior.is_some_and(|posterior| posterior.samples.len() > 1);
     let (mut all, mut lights) = (Tally::default(), Vec::new());
-    let mut predictions = Vec::new();
-    let images_of = predicted.images.into_iter().zip(predicted.deviations);
-    for (&light, (image, deviations)) in held_out.iter().zip(images_of) {
-        let (pixels, left_out) = pixels_of(light);
-        let captured = with_noise(&images[light].image, unstated[light]);
-        let tally = Tally::of(
-            &Compared {
-                pixels: &pixels,
-                left_out,
-                captured: &captured,
-                predicted: &image,
-                deviations: has_intervals.then_some(&deviations[..]),
-                lambertian,
-            },
-            &mut neighbours,
-        );
-        lights.push(tally.score(light, has_intervals));
-        all.join(tally);
-        predictions.push(pictured(light, &captured, image, &deviations, &pixels));
-    }
-    Ok(Validated {
-        validation: Validation {
-            fitted_lights: fitted,
-            posterior_samples: predicted.samples,
-            all: all.score(lights.len(), has_intervals),
-            lights,
+    let material = &fit.material;
+    let samples = predict(
+        scene,
+        &held_out,
+        material,
+        &record,
+        observer,
+        |light, predicted| {
+            let (pixels, left_out) = pixels_of(light);
+            let captured = with_noise(&images[light].image, unstated[light]);
+            let tally = Tally::of(
+                &Compared {
+                    pixels: &pixels,
+                    left_out,
+                    captured: &captured,
+                    predicted: &predicted.image,
+                    deviations: has_intervals.then_some(&predicted.deviations[..]),
+                    lambertian,
+                },
+                &mut neighbours,
+            );
+            lights.push(tally.score(light, has_intervals));
+            all.join(tally);
+            let deviations = &predicted.deviations;
+            each(pictured(
+                light,
+                &captured,
+                predicted.image,
+                deviations,
+                &pixels,
+            ))
         },
-        fit: record,
-        predictions,
-    })
+    )?;
+    let validation = Validation {
+        format: FORMAT,
+        simulated: false,
+        made_utc: utc_now(),
+        rig: env!("CARGO_PKG_VERSION").to_owned(),
+        dictionary: record.dictionary.clone(),
+        verdict: record.verdict(),
+        images: images.iter().map(|image| image.name.clone()).collect(),
+        fitted_lights: fitted,
+        posterior_samples: samples,
+        all: all.score(lights.len(), has_intervals),
+        lights,
+    };
+    Ok((validation, record))
 }
 
 /// An image with the noise that the fit assumes where none is stated, given its mean then.
@@ -396,11 +442,13 @@ mod tests {
             max_reflections: Some(2),
             ..FitRequest::default()
         };
-        let found =
-            validate_images_in_memory(&file, &images, &HoldOut::default(), &request, &()).unwrap();
-        let score = &found.validation.all.overall;
-        assert_eq!(found.validation.fitted_lights, [0, 1, 3]);
-        let prediction = &found.predictions[0];
+        let (quarter, mut predictions) = (HoldOut::default(), Vec::new());
+        let each = |prediction| predictions.push(prediction);
+        let found = validate_images_in_memory(&file, &images, &quarter, &request, &(), each);
+        let found = found.unwrap().0;
+        let score = &found.all.overall;
+        assert_eq!(found.fitted_lights, [0, 1, 3]);
+        let prediction = &predictions[0];
         assert_eq!(prediction.light, 2);
         let (mut error, mut square) = (0.0, 0.0);
         for pixel in (0..truth[2].mean.len()).filter(|&p| prediction.predicted.valid[p]) {
@@ -419,7 +467,7 @@ mod tests {
             "{score:?}"
         );
         assert_eq!(score.neighbours, None, "too few lights");
-        assert_eq!(found.validation.posterior_samples, 16);
+        assert_eq!(found.posterior_samples, 16);
     }
 
     #[test]

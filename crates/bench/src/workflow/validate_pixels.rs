@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::brdf::HalfDifference;
 use crate::radiance_image::RadianceImage;
+use crate::session::validation::LeftOut;
 use crate::transport::Scene;
 
 /// Half angle up to which a pixel counts to the highlight, radians.
@@ -30,25 +31,6 @@ impl Pixel {
     /// Whether it lies in the highlight.
     pub fn is_highlight(&self) -> bool {
         self.theta_h_rad <= HIGHLIGHT_RAD
-    }
-}
-
-/// Pixels of the sample that are not compared, by the first reason that applies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct LeftOut {
-    /// Dark in the mask.
-    pub masked: usize,
-    /// Clipped in every exposure, hot, or not a number.
-    pub invalid: usize,
-    /// Not lit by the lamp directly, or at more than 87° from the normal.
-    pub unlit: usize,
-}
-
-impl std::ops::AddAssign for LeftOut {
-    fn add_assign(&mut self, other: Self) {
-        self.masked += other.masked;
-        self.invalid += other.invalid;
-        self.unlit += other.unlit;
     }
 }
 

@@ -1,7 +1,7 @@
 //! Images of lights that were not fitted, with the standard deviation that the posterior samples
 //! give them.
 
-use crate::brdf::BrdfError;
+use super::WorkflowError;
 use crate::brdf::discrepancy::Material;
 use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
@@ -15,14 +15,16 @@ const SAMPLES: usize = 16;
 const PATHS: u32 = 32;
 const PATHS_OF_ALL: usize = 40_000_000;
 
-/// The predicted image of each light of a scene.
+/// Lights that are rendered at a time: the paths are traced once for all of them, and their
+/// images are in memory together.
+const AT_A_TIME: usize = 8;
+
+/// The predicted image of a light.
 pub(super) struct Predicted {
     /// Radiance, and the variance of the paths' mean.
-    pub images: Vec<RadianceImage>,
-    /// Standard deviation over the posterior samples, per light and pixel, R, G, B.
-    pub deviations: Vec<Vec<[f32; 3]>>,
-    /// Posterior samples that were rendered; 0 where the fit has none.
-    pub samples: usize,
+    pub image: RadianceImage,
+    /// Standard deviation over the posterior samples, per pixel, R, G, B.
+    pub deviations: Vec<[f32; 3]>,
 }
 
 /// One phase, whatever is rendered in it.
@@ -38,16 +40,19 @@ impl Progress for OnePhase<'_> {
     }
 }
 
-/// Predicts the images of all lights of `scene`.
+/// Predicts the image of each of these lights of a scene and hands it out, in their order.
+/// Posterior samples that were rendered; 0 where the fit has none.
 ///
 /// # Errors
-/// Samples that are no mixture; none of a fit.
+/// Samples that are no mixture; none of a fit; those of `each`.
 pub(super) fn predict(
     scene: &Scene,
+    lights: &[usize],
     material: &Material,
     record: &FitRecord,
     progress: &dyn Progress,
-) -> Result<Predicted, BrdfError> {
+    mut each: impl FnMut(usize, Predicted) -> Result<(), WorkflowError>,
+) -> Result<usize, WorkflowError> {
     let samples = record.sampled_materials(SAMPLES)?;
     let pixels = scene.camera.pixels();
     let mut options = RenderOptions {
@@ -57,13 +62,28 @@ pub(super) fn predict(
         steering: Steering::default(),
         ..RenderOptions::default()
     };
-    options.proposal = suited_proposal(scene, material, &options);
+    options.proposal = suited_proposal(&under(scene, lights), material, &options);
     let rows = scene.camera.resolution_px[1] * (1 + samples.len());
-    progress.begin("predicting", Some(rows));
+    progress.begin("predicting", Some(rows * lights.len().div_ceil(AT_A_TIME)));
     let progress = &OnePhase(progress);
-    Ok(Predicted {
-        images: render_with_progress(scene, material, &options, progress),
-        deviations: deviations(scene, &samples, &options, progress),
-        samples: samples.len(),
-    })
+    for lights in lights.chunks(AT_A_TIME) {
+        let part = under(scene, lights);
+        let images = render_with_progress(&part, material, &options, progress);
+        let deviations = deviations(&part, &samples, &options, progress);
+        for ((&light, image), deviations) in lights.iter().zip(images).zip(deviations) {
+            each(light, Predicted { image, deviations })?;
+        }
+    }
+    Ok(samples.len())
+}
+
+/// The scene under some of its lights alone.
+pub(super) fn under(scene: &Scene, lights: &[usize]) -> Scene {
+    let mut part = scene.clone();
+    part.lights = lights.iter().map(|&light| scene.lights[light]).collect();
+    let falloffs = lights
+        .iter()
+        .filter_map(|&light| scene.falloffs.get(light).cloned());
+    part.falloffs = falloffs.collect();
+    part
 }

@@ -1,59 +1,10 @@
 //! How far predictions are from images, next to what else predicts them.
 
 use super::validate_baselines::Neighbours;
-use super::validate_pixels::{LeftOut, Pixel};
+use super::validate_pixels::Pixel;
 use crate::radiance_image::RadianceImage;
+use crate::session::validation::{LeftOut, LightScore, RegionScore};
 use crate::statistics::{quantile, two_sided_normal_quantile};
-
-/// Errors over a set of pixels, each √(Σ (predicted − captured)² / Σ captured²) over pixels and
-/// channels: no pixel is divided by its own radiance, so that dark ones count for little.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct RegionScore {
-    /// Pixels that are compared.
-    pub pixels: usize,
-    /// Of the fit; `None` without light, like the others.
-    pub relative_rms: Option<f64>,
-    /// What the captured images' own noise makes of it.
-    pub noise: Option<f64>,
-    /// Of a Lambertian, by least squares over the same fitted lights, direct light alone.
-    pub lambertian: Option<f64>,
-    /// Of the fitted lights' values at the nearest (θh, θd), direct light alone, over the pixels
-    /// that have any; `None` where too few lights were fitted.
-    pub neighbours: Option<f64>,
-}
-
-/// A light that was predicted.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct LightScore {
-    /// Its number, from 0.
-    pub light: usize,
-    /// All compared pixels.
-    pub overall: RegionScore,
-    /// Those with θh above 15°.
-    pub away: RegionScore,
-    /// Those with θh of 15° or less.
-    pub highlight: RegionScore,
-    /// Part of the captured values inside their predicted 95% interval, of posterior samples,
-    /// render noise and capture noise together; `None` without posterior samples.
-    pub coverage: Option<f64>,
-    /// Median half width of these intervals over the predicted radiance.
-    pub median_half_width: Option<f64>,
-    /// Pixels of the sample that are not compared.
-    pub left_out: LeftOut,
-}
-
-/// All predicted lights.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Validation {
-    /// The lights that were fitted, from 0.
-    pub fitted_lights: Vec<usize>,
-    /// Posterior samples that the intervals come from.
-    pub posterior_samples: usize,
-    /// Each predicted light.
-    pub lights: Vec<LightScore>,
-    /// All predicted lights together, sums over all their pixels; its number is that of the lights.
-    pub all: LightScore,
-}
 
 /// Sums of squares over pixels and channels.
 #[derive(Clone, Copy, Default)]

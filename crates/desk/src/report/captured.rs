@@ -1,7 +1,7 @@
 //! A merged image as the page shows it: figures of all its pixels, and a small picture, so
 //! that no more than one image of full size is in memory.
 
-use super::images;
+use crate::plot::radiance as images;
 use crate::radiance_image::RadianceImage;
 
 /// A light's merged image.

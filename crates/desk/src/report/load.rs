@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{
     CapturedInput, ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput,
-    Truth,
+    Truth, ValidationInput,
 };
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::{self, SphereImage, sphere_images};
@@ -15,7 +15,7 @@ use crate::device::{FrameKind, LampState};
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{self, ExrError};
 use crate::session::fit_record::{self, FitRecord, FitRecordError};
-use crate::session::{Event, Session, SessionError, SessionState, Sidecar, layout};
+use crate::session::{Event, Session, SessionError, SessionState, Sidecar, layout, validation};
 use crate::units::StageAngles;
 
 /// Pixels a side of the spheres under environment maps.
@@ -133,6 +133,7 @@ fn load_with(
         provenance: provenance(&session, fit.as_ref(), unknown),
         lights,
         fit,
+        validation: latest_validation(&session)?,
         truth,
         spheres,
     })
@@ -162,6 +163,25 @@ fn chosen_fit(session: &Session, number: Option<u32>) -> Result<Option<FitInput>
             numbers => numbers.join(", "),
         },
     })
+}
+
+/// The session's latest validation with its pictures.
+fn latest_validation(session: &Session) -> Result<Option<ValidationInput>, LoadError> {
+    let Some(number) = validation::latest_in(session) else {
+        return Ok(None);
+    };
+    let record = validation::read_in(session, number)?;
+    let mut pictures = Vec::new();
+    for score in &record.lights {
+        if let Some(png) = validation::read_picture_in(session, number, score.light)? {
+            pictures.push((score.light, png));
+        }
+    }
+    Ok(Some(ValidationInput {
+        number,
+        record,
+        pictures,
+    }))
 }
 
 /// The fit of a folder outside the session, which must be one of its images.

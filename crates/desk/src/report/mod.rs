@@ -10,7 +10,6 @@ mod budget;
 mod captured;
 pub mod certificate;
 pub mod figures;
-pub mod images;
 pub mod load;
 pub mod sensor_page;
 mod summary;
@@ -28,6 +27,7 @@ use crate::plot::PlotError;
 use crate::radiance_image::RadianceImage;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{FitImages, FitRecord};
+use crate::session::validation::Validation;
 use crate::session::{SessionError, SessionWriter, layout};
 use crate::units::{Seconds, StageAngles};
 use crate::whole_file;
@@ -135,6 +135,8 @@ pub struct ReportInput {
     pub lights: Vec<LightInput>,
     /// The fit to show, if there is one.
     pub fit: Option<FitInput>,
+    /// The latest validation, if there is one.
+    pub validation: Option<ValidationInput>,
     /// The true material, where it is known.
     pub truth: Option<Truth>,
     /// Spheres under environment maps.
@@ -175,6 +177,16 @@ pub struct FitInput {
     pub images: FitImages,
     /// The fitted BRDF.
     pub estimate: Arc<dyn Brdf>,
+}
+
+/// What was predicted of images that a fit had not seen.
+pub struct ValidationInput {
+    /// Its number.
+    pub number: u32,
+    /// The errors.
+    pub record: Validation,
+    /// The picture (PNG) of each predicted light that has one, with the light's number.
+    pub pictures: Vec<(usize, Vec<u8>)>,
 }
 
 /// The true material.

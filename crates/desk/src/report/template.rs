@@ -4,12 +4,14 @@ use minijinja::value::Value;
 use minijinja::{Environment, UndefinedBehavior, context};
 
 use super::budget::budget_view;
-use super::images;
 use super::summary::{percent, score_rows, short, tiles, verdict_view};
 use super::value::{value, values};
-use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
-use crate::plot::Picture;
+use super::{
+    FitInput, LightInput, ReportError, ReportInput, SphereInput, ValidationInput, figures,
+};
 use crate::plot::colors::diverging;
+use crate::plot::radiance as images;
+use crate::plot::{Picture, png_data_uri};
 use crate::radiance_image::RadianceImage;
 use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE};
 
@@ -57,6 +59,7 @@ pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
         lights => values(lights, |(n, light)| light_view(n, light, input.fit.as_ref())),
         residual_bar => figures::residual_bar(),
         residual_range => images::RESIDUAL_RANGE as u32,
+        validation => value(input.validation.as_ref().map(validation_view)),
         fit => value(fit),
         provenance => values(&input.provenance, |group| context! {
             title => &group.title,
@@ -67,6 +70,29 @@ pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
     environment.set_undefined_behavior(UndefinedBehavior::Strict);
     environment.add_template("report.html", include_str!("report.html.j2"))?;
     Ok(environment.get_template("report.html")?.render(page)?)
+}
+
+/// Table and pictures of what was predicted.
+fn validation_view(validation: &ValidationInput) -> Value {
+    let record = &validation.record;
+    let (headings, rows) = record.headed_table();
+    let image = |light: usize| record.images.get(light).map_or("", String::as_str);
+    context! {
+        number => validation.number,
+        division => record.division(),
+        made => &record.made_utc,
+        dictionary => &record.dictionary,
+        verdict => record.verdict.sentence(),
+        posterior_samples => record.posterior_samples,
+        has_neighbours => headings.contains(&"neighbours"),
+        headings,
+        rows,
+        pictures => values(&validation.pictures, |(light, png)| context! {
+            light,
+            image => image(*light),
+            uri => png_data_uri(png),
+        }),
+    }
 }
 
 /// Spheres are shown on the truth's exposure; the difference in per cent of white.

@@ -217,6 +217,11 @@ pub(super) fn synthetic() -> ReportInput {
             },
             estimate: Arc::new(estimate.clone()),
         }),
+        validation: Some(ValidationInput {
+            number: 3,
+            record: crate::session::validation::example(),
+            pictures: vec![(1, b"png".to_vec())],
+        }),
         spheres: ["studio", "sunset"]
             .map(|map| SphereInput {
                 map: map.to_owned(),
@@ -293,6 +298,7 @@ fn a_whole_session_has_every_section() {
         "verdict",
         "spheres",
         "score",
+        "validation",
         "images",
         "exposure",
         "brdf",
@@ -318,14 +324,20 @@ fn a_whole_session_has_every_section() {
     }
     assert!(html.contains("azimuth −30.0°, elevation 85.0°"));
     // Two lights of five images, two maps of three spheres, two heat maps of two
-    // pictures, and the colour bar twice.
+    // pictures, the colour bar twice, and a prediction.
     assert_eq!(
         html.matches("data:image/png;base64,").count(),
-        10 + 6 + 4 + 2
+        10 + 6 + 4 + 2 + 1
     );
     // Polar plots, slices, maps, weights, loss and budget.
     assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1 + 1);
     assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
+    let predicted = [
+        "light 0 (derived/radiance_L000.exr) was fitted",
+        ">11.5%<",
+        "95.1%",
+    ];
+    assert!(predicted.iter().all(|part| html.contains(part)) && !html.contains("neighbours"));
     assert!(html.len() < 2_000_000, "{} bytes", html.len());
 }
 

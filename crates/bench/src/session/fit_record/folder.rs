@@ -16,7 +16,7 @@ use crate::file_system;
 use crate::outside_file::read_regular;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
-use crate::session::{Session, SessionWriter};
+use crate::session::{Session, SessionError, SessionWriter};
 use crate::shown::{self, MESSAGE, excerpt, shortened};
 use crate::whole_file;
 
@@ -97,9 +97,20 @@ pub fn commit(
 ) -> Result<PathBuf, FitRecordError> {
     let folder = next_folder(session.root());
     let files = encode(&folder, record, images)?;
+    Ok(commit_numbered(session, FITS_FOLDER, files)?)
+}
+
+/// Adds files as the next numbered folder of a session's folder `of`, in their order, and returns
+/// its path.
+pub(in crate::session) fn commit_numbered(
+    session: &mut SessionWriter,
+    of: &str,
+    files: Vec<(String, Vec<u8>)>,
+) -> Result<PathBuf, SessionError> {
+    let folder = next_numbered(session.root(), of);
     let number = folder.file_name().unwrap_or_default().to_string_lossy();
     for (name, bytes) in files {
-        session.commit_file(&format!("{FITS_FOLDER}/{number}/{name}"), &bytes)?;
+        session.commit_file(&format!("{of}/{number}/{name}"), &bytes)?;
     }
     Ok(folder)
 }
@@ -125,7 +136,17 @@ pub fn check_folder(folder: &Path) -> Result<(), FitRecordError> {
 /// [`FitRecordError::Exists`], a value out of its range (nothing is written
 /// then), or the system's error.
 pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<(), FitRecordError> {
-    let files = encode(folder, record, images)?;
+    write_files(folder, encode(folder, record, images)?)
+}
+
+/// Writes files as a folder, which must not exist or be empty and appears whole or not at all.
+///
+/// # Errors
+/// [`FitRecordError::Exists`], or the system's error.
+pub(in crate::session) fn write_files(
+    folder: &Path,
+    files: Vec<(String, Vec<u8>)>,
+) -> Result<(), FitRecordError> {
     check_folder(folder)?;
     let io = |path: &Path| {
         let path = path.to_path_buf();
@@ -286,13 +307,19 @@ fn inside(number: u32, name: &str) -> String {
 /// The numbers of a session's fits, lowest first: those whose `fit.toml`, the last
 /// file to be written, is journalled.
 pub fn numbers_in(session: &Session) -> Vec<u32> {
+    numbers_of(session, FITS_FOLDER, FIT_FILE)
+}
+
+/// The numbers of the folders in a session's folder `of` whose file `last` is journalled, lowest
+/// first.
+pub(in crate::session) fn numbers_of(session: &Session, of: &str, last: &str) -> Vec<u32> {
     let mut numbers: Vec<u32> = session
         .journal()
         .files()
         .iter()
         .filter_map(|file| {
-            let inside = file.path.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
-            let number = inside.strip_suffix(FIT_FILE)?.strip_suffix('/')?;
+            let inside = file.path.strip_prefix(of)?.strip_prefix('/')?;
+            let number = inside.strip_suffix(last)?.strip_suffix('/')?;
             number.parse().ok()
         })
         .collect();
@@ -300,22 +327,18 @@ pub fn numbers_in(session: &Session) -> Vec<u32> {
     numbers
 }
 
-fn numbered(session: &Path) -> Vec<(u32, PathBuf)> {
-    let mut found: Vec<_> = std::fs::read_dir(session.join(FITS_FOLDER))
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter_map(|entry| Some((entry.file_name().to_str()?.parse().ok()?, entry.path())))
-        .collect();
-    found.sort();
-    found
-}
-
 /// The folder for the next fit of a session, one above the highest number in
 /// use, finished or not; not yet made.
 pub fn next_folder(session: &Path) -> PathBuf {
-    let number = numbered(session).last().map_or(0, |(number, _)| number + 1);
-    session.join(FITS_FOLDER).join(number.to_string())
+    next_numbered(session, FITS_FOLDER)
+}
+
+fn next_numbered(session: &Path, of: &str) -> PathBuf {
+    let folder = session.join(of);
+    let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
+    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    let number = numbers.max().map_or(0, |number| number.saturating_add(1));
+    folder.join(number.to_string())
 }
 
 fn to_toml(record: &FitRecord) -> String {

@@ -6,8 +6,11 @@ use serde::Serialize;
 
 use super::pages::SessionPages;
 use super::pictures::{self, Named};
+use crate::beneath;
 use crate::catalogue::row::{self, EntryError, FitRow, Row, entry_fault, read_fit};
+use crate::fault::{Advisor, Fault};
 use crate::session::fit_record::{self, FitRecord, Warning};
+use crate::session::validation::{self, VALIDATION_FILE, Validation};
 use crate::session::{Event, Session, SessionState};
 
 /// A session in full.
@@ -20,6 +23,25 @@ pub struct Detail {
     pub pictures: Vec<Named>,
     /// What is to be known of the capture.
     pub warnings: Vec<String>,
+    /// Its latest validation, if it has one.
+    pub validation: Option<ValidationDetail>,
+}
+
+/// A validation in full.
+#[derive(Debug, Default, Serialize)]
+pub struct ValidationDetail {
+    /// Its number.
+    pub name: String,
+    /// What was fitted and what predicted, and the fit's verdict, in words.
+    pub about: String,
+    /// Headings of the table.
+    pub headings: Vec<&'static str>,
+    /// Its rows: one for each predicted light, then one for all.
+    pub rows: Vec<Vec<String>>,
+    /// A picture of each predicted light.
+    pub pictures: Vec<Named>,
+    /// Why it cannot be read.
+    pub error: Option<Fault>,
 }
 
 /// A fit in full.
@@ -53,6 +75,7 @@ impl SessionPages {
                     row: Row::failed(name, entry_fault(&error, advisor)),
                     pictures: Vec::new(),
                     warnings: Vec::new(),
+                    validation: None,
                 });
             }
         };
@@ -71,6 +94,7 @@ impl SessionPages {
             row: Row::of(&session, name, fits.into_iter().map(fit).collect()),
             pictures: pictures::of_session(&session),
             warnings: warnings(&session),
+            validation: validation_detail(&session, advisor),
         })
     }
 }
@@ -83,6 +107,34 @@ fn fit_detail(session: &Session, number: u32, record: &FitRecord) -> FitDetail {
         settings: settings(record),
         pictures: pictures::of_fit(session, number),
     }
+}
+
+fn validation_detail(session: &Session, advisor: &Advisor) -> Option<ValidationDetail> {
+    let number = validation::latest_in(session)?;
+    let file = validation::inside(number, VALIDATION_FILE);
+    let read = || -> Result<Validation, EntryError> {
+        beneath::open(session.root(), &file)?;
+        Ok(validation::read_in(session, number)?)
+    };
+    let name = number.to_string();
+    Some(match read() {
+        Ok(record) => {
+            let (headings, rows) = record.headed_table();
+            ValidationDetail {
+                name,
+                about: format!("{}. {}.", record.division(), record.verdict.sentence()),
+                headings,
+                rows,
+                pictures: pictures::of_validation(session, number, &record),
+                error: None,
+            }
+        }
+        Err(error) => ValidationDetail {
+            name,
+            error: Some(entry_fault(&error, advisor)),
+            ..ValidationDetail::default()
+        },
+    })
 }
 
 fn settings(record: &FitRecord) -> BTreeMap<&'static str, String> {

@@ -9,7 +9,8 @@ use super::served::{FileError, Served, Shown};
 use crate::beneath;
 use crate::catalogue::row;
 use crate::session::fit_record::POSTERIOR_FILE;
-use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
+use crate::session::layout::{FITS_FOLDER, REPORT_FILE, VALIDATIONS_FOLDER};
+use crate::session::validation;
 
 /// A MERL table has 35 MB, a spectral one up to some 100 MB.
 const LARGEST_FILE_BYTES: u64 = 512 << 20;
@@ -46,6 +47,10 @@ fn allowed(file: &str) -> Option<Allowed> {
     if folder == EXPORTS_FOLDER {
         return is_export(name).then_some(Allowed::File(BYTES, Shown::Download));
     }
+    if let Some(number) = folder.strip_prefix(VALIDATIONS_FOLDER) {
+        let number: u32 = number.strip_prefix('/')?.parse().ok()?;
+        return of_a_validation(number, file);
+    }
     let number = folder.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
     number.parse::<u32>().ok()?;
     if name == POSTERIOR_FILE {
@@ -54,6 +59,20 @@ fn allowed(file: &str) -> Option<Allowed> {
     OF_A_FIT
         .contains(&name)
         .then_some(Allowed::File(PLAIN, Shown::Inline))
+}
+
+/// A file of a validation; numbers have one spelling.
+fn of_a_validation(number: u32, file: &str) -> Option<Allowed> {
+    let name = file.rsplit_once('/')?.1;
+    let light = name
+        .strip_prefix("light_L")
+        .and_then(|rest| rest.strip_suffix(".png"));
+    let (kind, own) = match light {
+        Some(light) => ("image/png", validation::picture_file(light.parse().ok()?)),
+        None => (PLAIN, validation::VALIDATION_FILE.to_owned()),
+    };
+    let is_it = file == validation::inside(number, &own);
+    is_it.then_some(Allowed::File(kind, Shown::Inline))
 }
 
 impl SessionPages {
@@ -104,6 +123,8 @@ mod tests {
             ("fits/0/fit.toml", Inline),
             ("fits/12/table.csv", Inline),
             ("fits/0/posterior.npy", Download),
+            ("validations/0/validation.json", Inline),
+            ("validations/12/light_L003.png", Inline),
             ("exports/fit-0-merl.binary", Download),
             ("exports/fit-0-merl.binary.txt", Download),
         ] {
@@ -132,6 +153,10 @@ mod tests {
             "exports/page.html",
             "exports/deep/fit-0-merl.binary",
             "exports/binary",
+            "validations/0/light_L3.png",
+            "validations/00/validation.json",
+            "validations/0/../1/validation.json",
+            "validations/light_L003.png",
             "calibration/sensor.toml",
         ] {
             assert_eq!(allowed(file), None, "{file}");

@@ -15,10 +15,11 @@ use crate::brdf::source;
 use crate::brdf::sphere::sphere_images;
 use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
+use crate::plot::radiance::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
 use crate::radiance_image::exr;
-use crate::report::images::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
 use crate::session::Session;
 use crate::session::layout::{self, DERIVED_FOLDER, FITS_FOLDER};
+use crate::session::validation::{self, LightScore, Validation};
 
 /// Pixels a side of a sphere.
 const SPHERE_PX: usize = 128;
@@ -150,6 +151,19 @@ pub fn of_fit(session: &Session, fit: u32) -> Vec<Named> {
     let pictures = std::iter::once(PictureOf::Spheres { fit }).chain(lights.flat_map(of_light));
     let there = pictures.filter(|picture| session.vouches_for(&picture.source()));
     there.map(PictureOf::named).collect()
+}
+
+/// The pictures of a validation, which are files of the session.
+pub fn of_validation(session: &Session, number: u32, record: &Validation) -> Vec<Named> {
+    let picture = |score: &LightScore| {
+        let name = validation::inside(number, &validation::picture_file(score.light));
+        let image = record.images.get(score.light).map_or("", String::as_str);
+        let caption = format!("Light {}, {image}", score.light);
+        session
+            .vouches_for(&name)
+            .then_some(Named { name, caption })
+    };
+    record.lights.iter().filter_map(picture).collect()
 }
 
 /// The picture as PNG.

@@ -10,6 +10,7 @@ use crate::session::SessionWriter;
 use crate::session::commit::SystemDisk;
 use crate::session::example::fitted_session;
 use crate::session::fit_record::{self, FitImages, Verdict};
+use crate::session::validation;
 
 #[test]
 fn a_session_is_shown_with_its_fits_and_pictures() {
@@ -49,6 +50,18 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     // R, G and B of 6 pixels, each with a gap of 4.
     assert_eq!(sizes[1..], [(30, 4), (6, 4), (30, 4), (6, 4)]);
     assert!(sizes[0].0 > 256 && sizes[0].1 == 2 * 132, "{sizes:?}");
+    // The latest validation, with the picture that is a file.
+    assert_eq!(detail["validation"], serde_json::Value::Null);
+    let root = folder.path().join(&name);
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
+    let picture = vec![(validation::picture_file(1), b"png".to_vec())];
+    validation::commit(&mut writer, &validation::example(), &picture).unwrap();
+    drop(writer);
+    let detail = serde_json::to_value(pages.detail(&name).unwrap()).unwrap();
+    let shown = &detail["validation"];
+    assert_eq!(shown["rows"][1][1], "5.5%", "{shown}");
+    let picture = shown["pictures"][0]["name"].as_str().unwrap();
+    assert_eq!(*pages.file(&name, picture).unwrap().bytes, b"png");
     // Made once.
     let residual = || pages.file(&name, "fits/0/residual_L000.png").unwrap().bytes;
     assert!(Arc::ptr_eq(&residual(), &residual()));

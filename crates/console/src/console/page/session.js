@@ -20,10 +20,10 @@ function nameOf(address) {
 }
 
 /** Pictures with captions. A click opens one in full. */
-export function gallery(session, pictures) {
+export function gallery(session, pictures, kind = "") {
   return h(
     "div",
-    { class: "gallery" },
+    { class: `gallery ${kind}` },
     pictures.map(({ name, caption }) =>
       h("figure", {}, h("a", { href: fileOf(session, name), target: "_blank", rel: "noopener" }, h("img", { src: fileOf(session, name), alt: caption, loading: "lazy", class: "pixels there" })), h("figcaption", {}, caption)),
     ),
@@ -89,9 +89,26 @@ function details(session) {
       ),
       report ? reportFrame(report) : null,
     ),
+    ...(session.validation ? [validationPanel(session.name, session.validation)] : []),
     ...(session.pictures?.length ? [panel("Pictures", {}, gallery(session.name, session.pictures))] : []),
     ...[...(session.fits ?? [])].reverse().map((one, i) => fitPanel(session.name, one, i === 0)),
   ];
+}
+
+/** Errors and pictures of images that a fit had not seen. */
+function validationPanel(session, validation) {
+  if (validation.error) return panel("Predicted, unseen images", {}, h("p", { class: "error" }, validation.error.error));
+  const [first, ...others] = validation.headings;
+  const head = h("tr", {}, h("th", { scope: "col" }, first), others.map((name) => h("th", { scope: "col", class: "n" }, name)));
+  const rows = validation.rows.map(([light, ...cells]) => h("tr", {}, h("th", { scope: "row" }, light), cells.map((cell) => h("td", { class: "n" }, cell))));
+  const table = h("table", { class: "errors" }, h("caption", { class: "unseen" }, "Relative errors of the predictions by light"), h("thead", {}, head), h("tbody", {}, rows));
+  return panel(
+    "Predicted, unseen images",
+    { id: "validation" },
+    h("p", { class: "fine" }, `Validation ${validation.name}: ${validation.about}`),
+    h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Table of errors" }, table),
+    gallery(session, validation.pictures, "figures"),
+  );
 }
 
 /** The report in a frame that runs no scripts, loaded when it is opened. */

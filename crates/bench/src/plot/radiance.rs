@@ -1,8 +1,8 @@
-//! Images for the page: radiance to sRGB, residuals to a colour map.
+//! Radiance images as pictures: radiance to sRGB, residuals to a colour map.
 
+use super::Picture;
+use super::colors::diverging;
 use crate::brdf::sphere::srgb8;
-use crate::plot::Picture;
-use crate::plot::colors::diverging;
 use crate::radiance_image::RadianceImage;
 
 /// Larger images are reduced to at most this many pixels a side.
@@ -31,14 +31,14 @@ pub fn white_level(image: &RadianceImage) -> f32 {
     white.max(f32::MIN_POSITIVE)
 }
 
-/// How many pixels a side become one on the page.
-fn reduction(image: &RadianceImage) -> usize {
-    image.width.max(image.height).div_ceil(LARGEST_PX).max(1)
+/// How many pixels a side become one where the page has room for `largest_px`.
+fn reduction(image: &RadianceImage, largest_px: usize) -> usize {
+    image.width.max(image.height).div_ceil(largest_px).max(1)
 }
 
-/// The pixels of the block that becomes pixel (x, y) of the page.
-fn block(image: &RadianceImage, x: usize, y: usize) -> impl Iterator<Item = usize> {
-    let (step, width) = (reduction(image), image.width);
+/// The pixels of the block of `step` a side that becomes pixel (x, y).
+fn block(image: &RadianceImage, step: usize, [x, y]: [usize; 2]) -> impl Iterator<Item = usize> {
+    let width = image.width;
     let columns = x * step..((x + 1) * step).min(width);
     let rows = y * step..((y + 1) * step).min(image.height);
     rows.flat_map(move |row| columns.clone().map(move |column| row * width + column))
@@ -48,19 +48,24 @@ fn reduced(
     image: &RadianceImage,
     pixel: impl Fn(&mut dyn Iterator<Item = usize>) -> [u8; 4],
 ) -> Picture {
-    let step = reduction(image);
+    let step = reduction(image, LARGEST_PX);
     let (width, height) = (image.width.div_ceil(step), image.height.div_ceil(step));
-    Picture::from_fn(width, height, |x, y| pixel(&mut block(image, x, y)))
+    Picture::from_fn(width, height, |x, y| pixel(&mut block(image, step, [x, y])))
 }
 
 /// The image as the page has room for it: blocks of pixels become the mean of those that
 /// are valid, and are invalid where none is. Variances are left out.
 pub fn averaged_down(image: &RadianceImage) -> RadianceImage {
-    let step = reduction(image);
+    averaged_to(image, LARGEST_PX)
+}
+
+/// Likewise, for a page with room for `largest_px` pixels a side.
+pub fn averaged_to(image: &RadianceImage, largest_px: usize) -> RadianceImage {
+    let step = reduction(image, largest_px);
     let mut small = RadianceImage::new(image.width.div_ceil(step), image.height.div_ceil(step));
     for at in 0..small.mean.len() {
         let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
-        let pixels = block(image, at % small.width, at / small.width);
+        let pixels = block(image, step, [at % small.width, at / small.width]);
         for pixel in pixels.filter(|&pixel| image.valid[pixel]) {
             (0..3).for_each(|c| sum[c] += image.mean[pixel][c]);
             count += 1.0;
