@@ -12,13 +12,15 @@ fn small_bench(folder: &Path) {
     for (shipped, small) in [
         ("resolution_px = [300, 200]", "resolution_px = [60, 40]"),
         ("samples_per_pixel = 384", "samples_per_pixel = 16"),
-        ("segments = 256\npose", "segments = 64\npose"),
-        ("refine_bench = true", "dictionary = \"two.toml\""),
+        ("segments = 256", "segments = 64"),
+        (
+            "refine_bench = true",
+            "dictionary = \"two.toml\"\nsamples_per_pixel = 16\nmax_reflections = 4",
+        ),
     ] {
         rig = rig.replace(shipped, small);
         assert!(rig.contains(small), "{shipped}");
     }
-    rig = rig.replace("\nsegments = 256", "\nsegments = 64");
     std::fs::write(folder.join("rig.toml"), rig).unwrap();
     let two = "atoms = [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }, { type = \"lambertian\", albedo = 1.0 }]";
     std::fs::write(folder.join("two.toml"), two).unwrap();
