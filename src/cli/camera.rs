@@ -14,6 +14,7 @@ use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
 use crate::config::{CameraDriver, ResolvedRig, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::frame_figures::FrameFigures;
+use crate::device::manual::Nobody;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
@@ -408,6 +409,7 @@ fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
     };
     let options = OpenOptions {
         sees: Some(Arc::new(room)),
+        operator: Some(Arc::new(Nobody)),
         ..OpenOptions::default()
     };
     Ok(open_devices(rig, &options)?.camera)

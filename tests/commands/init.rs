@@ -276,8 +276,8 @@ fn still_cameras_are_choices() {
     assert!(label.contains("Nikon DSC D850"), "{label}");
 }
 
-/// `rig init` at a terminal of its own, and what it shows there.
-struct Terminal {
+/// `rig` at a terminal of its own, and what it shows there.
+pub(crate) struct Terminal {
     child: Child,
     keys: File,
     shown: Receiver<Vec<u8>>,
@@ -285,7 +285,7 @@ struct Terminal {
 }
 
 impl Terminal {
-    fn start(folder: &Path, arguments: &[&str]) -> Self {
+    pub(crate) fn start(folder: &Path, arguments: &[&str]) -> Self {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
@@ -324,7 +324,7 @@ impl Terminal {
     }
 
     /// Waits until this is shown, after what was waited for before.
-    fn wait_for(&mut self, wanted: &str) {
+    pub(crate) fn wait_for(&mut self, wanted: &str) {
         let began = Instant::now();
         loop {
             if let Some(at) = self.text.find(wanted) {
@@ -342,8 +342,18 @@ impl Terminal {
         }
     }
 
-    fn enter(&mut self, line: &str) {
+    pub(crate) fn enter(&mut self, line: &str) {
         self.keys.write_all(format!("{line}\n").as_bytes()).unwrap();
+    }
+
+    /// What it printed, once it has ended well.
+    pub(crate) fn finish(mut self) -> String {
+        let status = self.child.wait().unwrap();
+        assert!(status.success(), "{}", self.text);
+        let mut printed = String::new();
+        let mut stdout = self.child.stdout.take().unwrap();
+        stdout.read_to_string(&mut printed).unwrap();
+        printed
     }
 
     /// Answers a question that is recognised by its title.
@@ -402,17 +412,7 @@ fn a_session_at_a_terminal() {
     terminal.wait_for("\r\n  1. rig doctor\r\n     ");
     terminal.wait_for("rig calibrate sensor");
     assert!(!terminal.text.contains("\\n"), "{}", terminal.text);
-    let status = terminal.child.wait().unwrap();
-    assert!(status.success(), "{}", terminal.text);
-    let mut printed = String::new();
-    terminal
-        .child
-        .stdout
-        .take()
-        .unwrap()
-        .read_to_string(&mut printed)
-        .unwrap();
-    assert_eq!(printed, "rig.toml\n");
+    assert_eq!(terminal.finish(), "rig.toml\n");
     let written = RigConfig::load(&at.join("rig.toml")).unwrap();
     assert_eq!(written.name, "attic");
     assert_eq!(written.stage.driver_name(), "manual");

@@ -33,4 +33,5 @@ mod plan;
 mod pose;
 mod recipes;
 mod shape;
+mod torch;
 mod white;

@@ -178,7 +178,7 @@ pub fn open_devices(rig: &RigConfig, options: &OpenOptions) -> Result<Devices, O
 pub fn open_stage(rig: &RigConfig, options: &OpenOptions) -> Result<Stage, OpenError> {
     let rig_program = options.rig_program.clone();
     let (stage, bench) = match rig.is_simulated() {
-        true => stages::open_simulated_stage(rig)?,
+        true => stages::open_simulated_stage(rig, options)?,
         false => (stages::open_real(rig, options)?, None),
     };
     Ok(Stage {
@@ -215,6 +215,7 @@ mod stages {
     use crate::device::grbl::{self, GrblConfig, GrblStage};
     use crate::device::manual::ManualStage;
     use crate::device::simulated::SimulatedBench;
+    use crate::device::simulated_hand;
     use crate::device::zaber::{self, ZaberConfig, ZaberStage};
 
     fn bench(rig: &RigConfig) -> Result<SimulatedBench, OpenError> {
@@ -230,7 +231,7 @@ mod stages {
     ) -> Result<Devices, OpenError> {
         let bench = bench(rig)?;
         bench.count_visits(&options.begun);
-        let stage = Box::new(bench.open_stage()?);
+        let stage = stage_of(&bench, rig, options)?;
         let source: Arc<dyn RadianceSource> = match &options.sees {
             Some(source) => Arc::clone(source),
             None => rig
@@ -246,9 +247,25 @@ mod stages {
 
     pub(super) fn open_simulated_stage(
         rig: &RigConfig,
+        options: &OpenOptions,
     ) -> Result<(Box<dyn LightStage>, SimulatedFirmware), OpenError> {
         let bench = bench(rig)?;
-        Ok((Box::new(bench.open_stage()?), Some(Box::new(bench))))
+        Ok((stage_of(&bench, rig, options)?, Some(Box::new(bench))))
+    }
+
+    /// The stage of a simulated bench: its firmware's, or a person's.
+    fn stage_of(
+        bench: &SimulatedBench,
+        rig: &RigConfig,
+        options: &OpenOptions,
+    ) -> Result<Box<dyn LightStage>, OpenError> {
+        Ok(match &rig.stage.driver {
+            StageDriver::Manual(config) => {
+                let operator = options.operator.clone().ok_or(OpenError::NoOperator)?;
+                Box::new(simulated_hand::open(bench, config.clone(), operator)?)
+            }
+            _ => Box::new(bench.open_stage()?),
+        })
     }
 
     /// The drivers of stages.
@@ -328,6 +345,7 @@ mod stages {
 
     pub(super) fn open_simulated_stage(
         _: &RigConfig,
+        _: &OpenOptions,
     ) -> Result<(Box<dyn LightStage>, SimulatedFirmware), OpenError> {
         Err(OpenError::NoSerial)
     }

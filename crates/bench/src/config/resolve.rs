@@ -30,8 +30,8 @@ pub const BUILT_IN: &[(&str, &str)] = &[
     ),
 ];
 
-/// Simulated benches on which calibrations are rehearsed, built into the program as well
-/// (docs/calibration.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
+/// Simulated benches on which calibrations and the bench of a torch are rehearsed, built into the
+/// program as well (docs/calibration.md, docs/tutorial-torch.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
 const REHEARSALS: &[(&str, &str)] = &[
     (
         "rehearsal-flat",
@@ -44,6 +44,10 @@ const REHEARSALS: &[(&str, &str)] = &[
     (
         "rehearsal-tile",
         include_str!("../../../../rig-configs/rehearsal-tile.toml"),
+    ),
+    (
+        "rehearsal-torch",
+        include_str!("../../../../rig-configs/rehearsal-torch.toml"),
     ),
 ];
 
@@ -246,7 +250,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

@@ -11,7 +11,7 @@ use super::limits::LimitsConfig;
 use super::process::{CalibrationConfig, CaptureConfig, read_fit};
 use super::reader::Section;
 use super::simulation::{SimulationConfig, Timing};
-use super::stage::StageConfig;
+use super::stage::{StageConfig, StageDriver};
 use super::view::with_lens;
 use crate::bench_priors::BenchPriors;
 
@@ -38,7 +38,7 @@ pub struct RigConfig {
     pub calibration: CalibrationConfig,
     /// Who measures.
     pub lab: LabConfig,
-    /// The simulated bench; there if and only if the devices are simulated.
+    /// The simulated bench; there if and only if the camera is simulated.
     pub simulation: Option<SimulationConfig>,
     /// The file's text as it was read, for the session.
     pub text: String,
@@ -75,23 +75,27 @@ impl RigConfig {
         let camera = CameraConfig::read(root.section("camera")?.required()?)?;
         let stage = StageConfig::read(root.section("stage")?.required()?)?;
         let simulated_camera = camera.driver == CameraDriver::Simulated;
-        let simulated_stage = stage.is_simulated();
-        if simulated_camera != simulated_stage {
+        // A person can stand at a simulated bench, too.
+        let goes_with_it = match &stage.driver {
+            StageDriver::Manual(_) => true,
+            _ => stage.is_simulated() == simulated_camera,
+        };
+        if !goes_with_it {
             let driver = stage.driver_name();
-            let allowed = "simulated together with the camera or not at all";
+            let allowed = "simulated together with the camera or not at all, or manual";
             return Err(root.conflict("stage.driver", format!("{driver:?}"), allowed));
         }
         let simulation = root.section("simulation")?.optional();
-        let simulation = match (simulation, simulated_stage) {
+        let simulation = match (simulation, simulated_camera) {
             (Some(table), true) => Some(SimulationConfig::read(table, &camera)?),
             (None, false) => None,
             (None, true) => {
                 return Err(
-                    root.missing("simulation", "a table, because the drivers are simulated")
+                    root.missing("simulation", "a table, because the camera is simulated")
                 );
             }
             (Some(_), false) => {
-                let allowed = "absent unless the drivers are simulated";
+                let allowed = "absent unless the camera is simulated";
                 return Err(root.conflict("simulation", "given", allowed));
             }
         };

@@ -17,7 +17,7 @@ use super::stage::StageDriver;
 use super::view::take_lens;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
-use crate::device::simulated::SimulatedConfig;
+use crate::device::{simulated::SimulatedConfig, simulated_hand};
 use crate::radiometry::mosaic::Mosaic;
 use crate::transport::{Camera, Folded, LensSpec};
 
@@ -298,8 +298,10 @@ impl RigConfig {
     /// The simulated bench that this rig describes; `None` for a real one.
     pub fn simulated_bench(&self) -> Option<SimulatedConfig> {
         let simulation = self.simulation.as_ref()?;
-        let StageDriver::Simulated(stage) = &self.stage.driver else {
-            return None;
+        let stage = match &self.stage.driver {
+            StageDriver::Simulated(stage) => stage.clone(),
+            StageDriver::Manual(manual) => simulated_hand::firmware(manual.channels),
+            _ => return None,
         };
         let channel_of = |colour: usize| {
             let mut channels = self.stage.measures.iter();
@@ -308,7 +310,7 @@ impl RigConfig {
                 .map(|channel| channel as u8)
         };
         Some(SimulatedConfig {
-            stage: stage.clone(),
+            stage,
             errors: simulation.stage_errors,
             lamp: simulation.lamp,
             channel_of_colour: [0, 1, 2].map(channel_of),

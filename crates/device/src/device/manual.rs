@@ -34,6 +34,16 @@ pub trait Operator: Send + Sync {
     fn tell(&self, request: Request);
 }
 
+/// Nobody: who is asked does nothing.
+pub struct Nobody;
+
+impl Operator for Nobody {
+    fn ask(&self, _: Request) -> bool {
+        false
+    }
+    fn tell(&self, _: Request) {}
+}
+
 /// A manual stage as its driver needs it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ManualConfig {

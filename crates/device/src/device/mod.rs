@@ -36,6 +36,8 @@ mod shared_line;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
+#[cfg(feature = "serial")]
+pub mod simulated_hand;
 mod speaker;
 pub mod stated;
 #[cfg(any(feature = "v4l", feature = "webcam"))]

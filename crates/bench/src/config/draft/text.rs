@@ -63,11 +63,11 @@ impl Draft {
         out.absent_more("longest_ms", "2000.0");
         out.absent_more("step_ms", "0.1");
         out.absent("settings_latency_frames", "3", "Frames that still have the old settings after a change. Raise it if a capture complains\nthat a setting came late.");
-        out.absent(
-            "frame_timeout_s",
-            "5.0",
-            "How long a frame may take beyond its exposure (s).",
-        );
+        let timeout = "How long a frame may take beyond its exposure (s).";
+        match self.camera.driver {
+            "gphoto2" => out.key("frame_timeout_s", "30.0", timeout),
+            _ => out.absent("frame_timeout_s", "5.0", timeout),
+        }
     }
 
     fn stage(&self, out: &mut Lines) {
@@ -279,6 +279,10 @@ impl Draft {
             "0.3",
             "Wait after a move (s). Raise it if images show shaking.",
         );
+        if matches!(self.stage, Stage::Manual { .. }) {
+            out.key("ambient", "false", "Whether the room's light is subtracted: then the lamp is switched off and on at every\nexposure. false: darken the room.");
+            out.key("max_frames", "2", "Most frames averaged at one exposure: a hand tires.");
+        }
         out.absent("dark_frames", "8", "Dark frames at each exposure.");
         out.absent(
             "disk_reserve_mb",
