@@ -36,9 +36,10 @@ CARGO_TEST = $(CARGO) test --locked --release --workspace --features "$(FEATURES
 
 test: deps-test
 	$(CARGO_TEST) --no-run
-	@env --default-signal=INT,QUIT $(CARGO_TEST) $(addprefix --test ,$(WAITING)) -- --test-threads 6 \
-	  >target/waiting.log 2>&1 & waiting=$$!; \
-	$(CARGO_TEST) --lib --bins $(addprefix --test ,$(COMPUTING)) && $(CARGO_TEST) --doc; passed=$$?; \
+	@env --default-signal=INT,QUIT tests/run.sh target/waiting-tests.log \
+	  $(CARGO_TEST) $(addprefix --test ,$(WAITING)) -- --test-threads 6 >target/waiting.log 2>&1 & waiting=$$!; \
+	nice -n 5 tests/run.sh target/computing-tests.log \
+	  $(CARGO_TEST) --lib --bins $(addprefix --test ,$(COMPUTING)) && $(CARGO_TEST) --doc; passed=$$?; \
 	wait $$waiting || passed=1; cat target/waiting.log; exit $$passed
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
