@@ -19,8 +19,8 @@ status=${PIPESTATUS[0]}
 [ "$status" -eq 0 ] && exit 0
 
 # Each program lists the tests that failed below its last "failures:".
-mapfile -t failed < <(awk '/^failures:$/ { list = 1; next } /^test result/ { list = 0 }
-  list && /^    [A-Za-z0-9_:]+$/ { print $1 }' "$log" | sort -u)
+mapfile -t failed < <(awk '/^failures:$/ { names = "" } /^    [A-Za-z0-9_:]+$/ { names = names $1 "\n" }
+  /^test result: FAILED/ { printf "%s", names }' "$log" | sort -u)
 # A program that died lists none.
 died=$(($(grep -c '^    `.*`$' "$log") - $(grep -c '^test result: FAILED' "$log")))
 if [ "$died" -ne 0 ] || [ ${#failed[@]} -eq 0 ] || [ ${#failed[@]} -gt 5 ]; then

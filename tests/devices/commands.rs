@@ -130,7 +130,12 @@ fn a_port_or_camera_without_permission() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::set_permissions(folder.path(), PermissionsExt::from_mode(0o755)).unwrap();
     let program = folder.path().join("rig");
-    std::fs::copy(assert_cmd::cargo::cargo_bin("rig"), &program).unwrap();
+    // Copied by another process: what this one has open to write, another test may inherit.
+    let copied = Command::new("cp")
+        .arg(assert_cmd::cargo::cargo_bin("rig"))
+        .arg(&program)
+        .status();
+    assert!(copied.unwrap().success());
     let file = folder.path().join("ttyUSB0");
     std::fs::write(&file, "").unwrap();
     std::fs::set_permissions(&file, PermissionsExt::from_mode(0o000)).unwrap();

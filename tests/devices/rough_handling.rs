@@ -421,9 +421,14 @@ fn a_full_disk_costs_nothing_that_was_journalled() {
     assert!(!stdout.contains("frame.png"), "{stdout}");
     for line in stderr.lines().filter(|line| line.starts_with("error: ")) {
         assert!(
-            ["no more files", "more can be made", "no storage space"]
-                .iter()
-                .any(|said| line.contains(said)),
+            [
+                "no more files",
+                "more can be made",
+                "no storage space",
+                "no space left"
+            ]
+            .iter()
+            .any(|said| line.contains(said)),
             "{line}"
         );
     }

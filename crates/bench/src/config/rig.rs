@@ -90,9 +90,7 @@ impl RigConfig {
             (Some(table), true) => Some(SimulationConfig::read(table, &camera)?),
             (None, false) => None,
             (None, true) => {
-                return Err(
-                    root.missing("simulation", "a table, because the camera is simulated")
-                );
+                return Err(root.missing("simulation", "a table, because the camera is simulated"));
             }
             (Some(_), false) => {
                 let allowed = "absent unless the camera is simulated";

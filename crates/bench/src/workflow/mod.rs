@@ -44,6 +44,7 @@ mod validate_score;
 mod warnings;
 
 pub use crate::config::fit::FitRequest;
+pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
 pub use cell_images::UNSTATED_NOISE;
 pub use error::WorkflowError;
@@ -58,7 +59,6 @@ pub use scene_concern::{DescribedIn, SceneConcern, extent_in_image, millimetres}
 pub use session_images::{SessionImages, session_images};
 pub use stated_result::{StatedResult, StatedResultError};
 pub use traceability::{Reference, Traceability};
-pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
 pub use validate::{
     HoldOut, HoldOutError, LightPrediction, Validated, validate_images, validate_images_in_memory,
     validate_session,

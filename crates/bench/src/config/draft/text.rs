@@ -281,7 +281,11 @@ impl Draft {
         );
         if matches!(self.stage, Stage::Manual { .. }) {
             out.key("ambient", "false", "Whether the room's light is subtracted: then the lamp is switched off and on at every\nexposure. false: darken the room.");
-            out.key("max_frames", "2", "Most frames averaged at one exposure: a hand tires.");
+            out.key(
+                "max_frames",
+                "2",
+                "Most frames averaged at one exposure: a hand tires.",
+            );
         }
         out.absent("dark_frames", "8", "Dark frames at each exposure.");
         out.absent(
