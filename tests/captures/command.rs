@@ -445,6 +445,7 @@ fn the_first_run_is_clean() {
     verdict: The fit explains the images
     fit: sessions/SESSION/fits/N
     report: sessions/SESSION/report.html
+    next: `rig validate sessions/SESSION` fits a part of the lights and predicts the rest, within a minute or two
     ");
     let fits = home.path().join(&root).join("fits/0");
     let record = fit_record::read(&fits).unwrap();
