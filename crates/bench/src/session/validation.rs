@@ -391,6 +391,8 @@ mod tests {
         let root = folder
             .path()
             .join(crate::session::example::fitted_session(folder.path()));
+        // The example's journal has no frames, which is remarked on.
+        let before = verify(&root).unwrap();
         let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
         let picture = || vec![(picture_file(1), b"picture".to_vec())];
         for number in ["0", "1"] {
@@ -399,7 +401,10 @@ mod tests {
         }
         writer.refresh_manifest().unwrap();
         drop(writer);
-        assert!(verify(&root).unwrap().is_intact());
+        let found = verify(&root).unwrap();
+        assert_eq!(found.good_files, before.good_files + 4, "{found:?}");
+        assert_eq!(found.problems.len(), before.problems.len(), "{found:?}");
+        assert!(found.strays.is_empty(), "{found:?}");
         let session = Session::open(&root).unwrap();
         assert_eq!(latest_in(&session), Some(1));
         assert_eq!(read_in(&session, 1).unwrap(), example());
