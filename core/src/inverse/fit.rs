@@ -16,6 +16,7 @@ use super::posterior::{Posterior, posterior};
 use super::solve::{Paths, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::PosteriorSamples;
+use super::unexplained::Seen;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::Material;
 use crate::brdf::projection::ProjectionError;
@@ -154,7 +155,13 @@ pub(super) fn fit_on_bench(
         posterior =
             averaged(posterior, of_part, options.cache.seed).map_err(ProjectionError::from)?;
     }
-    let albedo = timings.time("uncertainty", || posterior.be_physical(options.cache.seed));
+    let objective = paths.objective(captured, options);
+    let albedo = timings.time("uncertainty", || {
+        let seed = options.cache.seed;
+        let weights = &solved.residual_weights;
+        let seen = Seen::new(scene, &objective, &solved.pass.model, weights, seed);
+        posterior.be_physical(&seen, seed)
+    });
     let Posterior {
         posterior_samples,
         material,
@@ -162,7 +169,6 @@ pub(super) fn fit_on_bench(
     } = posterior;
 
     // Its images.
-    let objective = paths.objective(captured, options);
     let cache = &paths.cache;
     let outlier_fraction = (0..objective.lights())
         .map(|light| objective.outlier_fraction(&solved.pass.model, light))

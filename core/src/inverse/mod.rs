@@ -26,6 +26,7 @@ mod solve;
 pub mod sparse;
 pub mod trace;
 pub mod uncertainty;
+mod unexplained;
 pub mod variance_shares;
 
 pub use bench::{RefineOptions, refine_bench};

@@ -9,11 +9,11 @@ use super::bench::system::BenchLinearisation;
 use super::discrepancy::{Eliminated, LinearizationPoint};
 use super::estimate::{estimate, mean_of_samples};
 use super::form;
-use super::intervals::unexplained_deviation;
 use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::options::{FitError, FitOptions, Optimizer};
 use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, PosteriorSamples};
+use super::unexplained::Seen;
 use crate::brdf::Mixture;
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::energy::EnergyBound;
@@ -36,10 +36,10 @@ pub(super) struct Posterior {
 }
 
 impl Posterior {
-    /// Gives each sample its error that no dictionary explains ([`unexplained_deviation`]) and its
+    /// Gives each sample its error that no dictionary explains, given what was `seen`, and its
     /// scale, where that is open, and bounds samples and material by energy conservation. Returns the largest directional albedo that the
     /// material had before, per channel.
-    pub fn be_physical(&mut self, seed: u64) -> [f64; 3] {
+    pub fn be_physical(&mut self, seen: &Seen, seed: u64) -> [f64; 3] {
         if self.discrepancy == 0.0
             && self
                 .posterior_samples
@@ -51,19 +51,13 @@ impl Posterior {
         let energy = EnergyBound::new(self.material.mixture.dictionary());
         let (material, albedo) = energy.bound(&self.material);
         self.material = material;
-        let nodes: Vec<_> = discrepancy::nodes().collect();
         let fields = discrepancy::standard_modes();
         self.posterior_samples
             .par_iter_mut()
             .enumerate()
             .for_each(|(group, of_set)| {
                 let mut numbers = stream(seed, Purpose::Posterior, group as u64, 4, 0);
-                let deviations = DVector::from_iterator(
-                    nodes.len(),
-                    nodes.iter().map(|n| {
-                        unexplained_deviation(of_set.excess_error, n.theta_h_deg, n.theta_d_deg)
-                    }),
-                );
+                let deviations = seen.unexplained(group, of_set.excess_error);
                 of_set
                     .discrepancies
                     .resize_with(of_set.posterior.len(), Discrepancy::none);
