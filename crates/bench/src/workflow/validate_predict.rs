@@ -87,3 +87,98 @@ pub(super) fn under(scene: &Scene, lights: &[usize]) -> Scene {
     part.falloffs = falloffs.collect();
     part
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brdf::{Atom, Dictionary, Mixture};
+    use crate::config::scene::SceneFile;
+    use crate::random::{Purpose, stream};
+    use crate::session::fit_record::{PosteriorRecord, example};
+    use crate::statistics::normal_cdf;
+    use crate::transport::render;
+    use crate::workflow::validate_pixels::{compared, of_sample};
+    use crate::workflow::validate_score::{Compared, Tally};
+
+    /// Standard deviation of the true albedos around the fitted one, relative to it.
+    const DEVIATION: f64 = 0.1;
+    const ALBEDO: f64 = 0.5;
+    const TRUTHS: usize = 200;
+
+    /// A ball whose albedo the fit knows to within 10%, by posterior samples that say so, or three
+    /// times as much, or a third: the coverage of rendered images is what follows from that.
+    #[test]
+    fn coverage_of_images_is_that_of_the_posterior() {
+        let text = "[camera]\nmodel = \"orthographic\"\nresolution_px = [8, 8]\nextent_mm = [2.2, 2.2]\nposition_mm = [0.0, 0.0, 9.0]\n[sample]\nshape = { kind = \"sphere\", radius_mm = 1.0, segments = 96 }\nshading = \"smooth\"\n[[light]]\nkind = \"directional\"\nto_light = [0.3, 0.1, 1.0]\nirradiance = 3.0\n";
+        let file = SceneFile::parse("scene.toml", Path::new(""), text).unwrap();
+        let scene = file.scene().unwrap();
+        let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
+        let dictionary = Arc::new(Dictionary::new("two", atoms).unwrap());
+        let material = |albedos: [f64; 3]| {
+            let weights = albedos.map(|albedo| vec![albedo, 1.0 - albedo]);
+            Material::from(Mixture::new(dictionary.clone(), weights).unwrap())
+        };
+        let mut numbers = stream(5, Purpose::Experiment, 0, 0, 0);
+        let options = RenderOptions {
+            samples_per_pixel: 32,
+            max_reflections: 1,
+            seed: 9,
+            ..RenderOptions::default()
+        };
+        let truths: Vec<RadianceImage> = (0..TRUTHS)
+            .map(|_| {
+                let albedos = [0; 3].map(|_| ALBEDO * (1.0 + DEVIATION * numbers.normal()));
+                render(&scene, &material(albedos), &options).remove(0)
+            })
+            .collect();
+        let sample = of_sample(&scene);
+
+        // Samples of unit deviation exactly.
+        let mut drawn: Vec<f64> = (0..SAMPLES).map(|_| numbers.normal()).collect();
+        let mean = drawn.iter().sum::<f64>() / SAMPLES as f64;
+        drawn.iter_mut().for_each(|z| *z -= mean);
+        let square: f64 = drawn.iter().map(|z| z * z).sum();
+        let deviation = (square / (SAMPLES - 1) as f64).sqrt();
+
+        for factor in [3.0, 1.0, 1.0 / 3.0] {
+            let sampled = |z: &f64| {
+                let albedo = (ALBEDO * (1.0 + factor * DEVIATION * z / deviation)) as f32;
+                [0, 1, 2].map(|_| vec![albedo, 1.0 - albedo])
+            };
+            let mut record = example::fit();
+            record.settings.max_reflections = 1;
+            record.atoms.remove(0);
+            record.posterior = Some(PosteriorRecord {
+                samples: drawn.iter().map(sampled).collect(),
+            });
+            let predicted = predict(&scene, &material([ALBEDO; 3]), &record, &()).unwrap();
+            let mut all = Tally::default();
+            for truth in &truths {
+                let (pixels, left_out) = compared(&scene, 0, &sample, truth, None);
+                all.join(Tally::of(
+                    &Compared {
+                        pixels: &pixels,
+                        left_out,
+                        captured: truth,
+                        predicted: &predicted.images[0],
+                        deviations: Some(&predicted.deviations[0]),
+                        lambertian: [0.0; 3],
+                    },
+                    &mut None,
+                ));
+            }
+            let score = all.score(1, true);
+            let (found, width) = (score.coverage.unwrap(), score.median_half_width.unwrap());
+            let expected = 2.0 * normal_cdf(1.96 * factor) - 1.0;
+            // Three deviations of the scatter of three albedos of each truth.
+            let scatter = (expected * (1.0 - expected) / (3 * TRUTHS) as f64).sqrt();
+            println!("{factor:.2}: coverage {found:.3} for {expected:.3}, half width {width:.3}");
+            assert!((found - expected).abs() < 3.0 * scatter + 0.005, "{found}");
+            let half_width = 1.96 * factor * DEVIATION;
+            assert!((width / half_width - 1.0).abs() < 0.05, "{width}");
+        }
+    }
+}
