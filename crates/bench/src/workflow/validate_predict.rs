@@ -108,11 +108,11 @@ mod tests {
     const ALBEDO: f64 = 0.5;
     const TRUTHS: usize = 200;
 
-    /// A ball whose albedo the fit knows to within 10%, by posterior samples that say so, or three
+    /// A part of a ball whose albedo the fit knows to within 10%, by posterior samples that say so, or three
     /// times as much, or a third: the coverage of rendered images is what follows from that.
     #[test]
     fn coverage_of_images_is_that_of_the_posterior() {
-        let text = "[camera]\nmodel = \"orthographic\"\nresolution_px = [8, 8]\nextent_mm = [2.2, 2.2]\nposition_mm = [0.0, 0.0, 9.0]\n[sample]\nshape = { kind = \"sphere\", radius_mm = 1.0, segments = 96 }\nshading = \"smooth\"\n[[light]]\nkind = \"directional\"\nto_light = [0.3, 0.1, 1.0]\nirradiance = 3.0\n";
+        let text = "[camera]\nmodel = \"orthographic\"\nresolution_px = [8, 8]\nextent_mm = [0.3, 0.3]\nposition_mm = [0.0, 0.0, 9.0]\n[sample]\nshape = { kind = \"sphere\", radius_mm = 1.0, segments = 96 }\nshading = \"smooth\"\n[[light]]\nkind = \"directional\"\nto_light = [0.3, 0.1, 1.0]\nirradiance = 3.0\n";
         let file = SceneFile::parse("scene.toml", Path::new(""), text).unwrap();
         let scene = file.scene().unwrap();
         let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
@@ -154,7 +154,20 @@ mod tests {
             record.posterior = Some(PosteriorRecord {
                 samples: drawn.iter().map(sampled).collect(),
             });
-            let predicted = predict(&scene, &material([ALBEDO; 3]), &record, &()).unwrap();
+            let mut predicted = None;
+            predict(
+                &scene,
+                &[0],
+                &material([ALBEDO; 3]),
+                &record,
+                &(),
+                |_, of_light| {
+                    predicted = Some(of_light);
+                    Ok(())
+                },
+            )
+            .unwrap();
+            let predicted = predicted.unwrap();
             let mut all = Tally::default();
             for truth in &truths {
                 let (pixels, left_out) = compared(&scene, 0, &sample, truth, None);
@@ -163,8 +176,8 @@ mod tests {
                         pixels: &pixels,
                         left_out,
                         captured: truth,
-                        predicted: &predicted.images[0],
-                        deviations: Some(&predicted.deviations[0]),
+                        predicted: &predicted.image,
+                        deviations: Some(&predicted.deviations),
                         lambertian: [0.0; 3],
                     },
                     &mut None,
