@@ -48,3 +48,24 @@ pub trait Progress: Sync {
 
 /// Shows nothing.
 impl Progress for () {}
+
+/// One phase of the whole work, whatever phases are reported within it.
+pub struct OnePhase<'a>(&'a dyn Progress);
+
+impl<'a> OnePhase<'a> {
+    /// Begins it.
+    pub fn begun(progress: &'a dyn Progress, phase: &str, steps: usize) -> Self {
+        progress.begin(phase, Some(steps));
+        Self(progress)
+    }
+}
+
+impl Progress for OnePhase<'_> {
+    fn advance(&self, steps: usize) {
+        self.0.advance(steps);
+    }
+
+    fn pulse(&self) {
+        self.0.pulse();
+    }
+}

@@ -7,7 +7,8 @@
 
 =====================  ====================================================
 Brdf                   load, mix, evaluate, draw, compare, write BRDFs
-Scene                  scene files, rendered
+materials              names of the measured materials that come with it
+Scene                  a camera, lights and a sample, from a file or arrays; rendered
 merge                  exposure brackets to radiance
 fit, Fit               a BRDF with its interval, from images
 Session                what the program captured: frames, images, fits
@@ -21,11 +22,11 @@ at the top. Arrays that go in are copied, because long work runs without the int
 arrays that come out are not.
 
 Start other processes with multiprocessing.get_context("spawn"): the library's threads don't
-survive a fork.
+survive a fork. BRDFs, scenes, images, fits and sessions can be sent to them.
 """
 
 from ._native import VERSION as __version__
-from ._native import Brdf, Fit, Scene, Session, fit, merge
+from ._native import Brdf, Fit, Scene, Session, fit, materials, merge
 from .errors import (
     FileError,
     FitError,
@@ -40,11 +41,15 @@ from .progress import ProgressBar
 from .records import (
     Atom,
     Budget,
+    Camera,
     Check,
     Errors,
     FitWarning,
     Frame,
+    Interval,
+    Light,
     Merged,
+    Mesh,
     PerChannel,
     Projection,
     RadianceImage,
@@ -55,6 +60,7 @@ __all__ = [
     "Atom",
     "Brdf",
     "Budget",
+    "Camera",
     "Check",
     "Errors",
     "FileError",
@@ -63,7 +69,10 @@ __all__ = [
     "FitWarning",
     "Frame",
     "InputError",
+    "Interval",
+    "Light",
     "Merged",
+    "Mesh",
     "MissingFileError",
     "NoFitError",
     "PerChannel",
@@ -78,5 +87,6 @@ __all__ = [
     "Table",
     "__version__",
     "fit",
+    "materials",
     "merge",
 ]

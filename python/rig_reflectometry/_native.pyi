@@ -3,19 +3,24 @@
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict, Unpack, final
+from typing import Any, Literal, TypeAlias, TypedDict, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Unpack
 
 from .records import (
     Atom,
     Budget,
+    Camera,
     Check,
     Errors,
     FitWarning,
     Frame,
+    Interval,
+    Light,
     Merged,
+    Mesh,
     Projection,
     RadianceImage,
     Table,
@@ -31,21 +36,23 @@ _Kernel: TypeAlias = Literal["portable", "avx2", "avx512", "auto"]
 class _FitOptions(TypedDict, total=False):
     dictionary: _Path | None
     optimizer: _Optimizer | None
-    samples_per_cell: int | None
+    spp: int | None
     max_reflections: int | None
     seed: int | None
     shared_weights: bool | None
     model_error: float | None
     mask: _Path | None
     cells: int | None
-    memory_mib: int | None
+    memory: int | None
     kernel: _Kernel | None
     refine_bench: bool | None
     uncertainty: Mapping[str, float] | None
+    samples_per_cell: int | None  # spp
+    memory_mib: int | None  # memory
 
 _Mosaic: TypeAlias = Literal["none", "rggb", "grbg", "gbrg", "bggr"]
 _Format: TypeAlias = Literal[
-    "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender", "gltf"
+    "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender", "gltf", "birdf"
 ]
 
 @final
@@ -76,6 +83,17 @@ class Brdf:
 
 @final
 class Scene:
+    def __init__(
+        self,
+        camera: Camera,
+        lights: ArrayLike | Sequence[Light],
+        sample: Mesh | Mapping[str, Any] | _Path,
+        *,
+        irradiance: ArrayLike | None = None,
+        shading: Literal["flat", "smooth"] = "flat",
+        folder: _Path = ".",
+        **tables: Any,
+    ) -> None: ...
     @staticmethod
     def load(path: _Path) -> Scene: ...
     @staticmethod
@@ -83,18 +101,25 @@ class Scene:
     @property
     def shape(self) -> tuple[int, int]: ...
     @property
-    def lights(self) -> int: ...
+    def camera(self) -> Camera: ...
+    @property
+    def lights(self) -> list[Light]: ...
+    @property
+    def mesh(self) -> Mesh: ...
+    @property
+    def shading(self) -> Literal["flat", "smooth"]: ...
     @property
     def brdf(self) -> Brdf | None: ...
     def render(
         self,
         brdf: Brdf | None = None,
         *,
-        samples_per_pixel: int = ...,
+        spp: int | None = None,
         max_reflections: int = ...,
         seed: int = ...,
         polarised: bool | None = None,
         progress: _Progress | None = None,
+        samples_per_pixel: int | None = None,
     ) -> list[RadianceImage]: ...
 
 @final
@@ -115,6 +140,7 @@ class Fit:
     def weight_deviations(self) -> NDArray[np.float64]: ...
     @property
     def table(self) -> Table: ...
+    def interval(self, theta_h_deg: ArrayLike, theta_d_deg: ArrayLike) -> Interval: ...
     @property
     def verdict(self) -> Literal["explains", "reservations", "not-to-be-trusted"]: ...
     @property
@@ -137,6 +163,14 @@ class Fit:
     def simulated(self) -> bool: ...
     def rendered(self) -> list[RadianceImage]: ...
     def residual(self) -> list[RadianceImage]: ...
+    def deviations(
+        self,
+        scene: Scene | _Path,
+        *,
+        max_reflections: int = ...,
+        seed: int = ...,
+        progress: _Progress | None = None,
+    ) -> list[NDArray[np.float32]]: ...
     def save(self, folder: _Path) -> None: ...
     def export(self, path: _Path, format: _Format) -> list[Path]: ...
 
@@ -197,5 +231,6 @@ def merge(
     out: _Path | None = None,
     progress: _Progress | None = None,
 ) -> Merged: ...
+def materials() -> list[str]: ...
 def read_exr(path: _Path) -> RadianceImage: ...
 def write_exr(path: _Path, image: RadianceImage | ArrayLike) -> None: ...

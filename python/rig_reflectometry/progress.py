@@ -1,16 +1,19 @@
 """Progress bars for `progress=`.
 
 Any callable will do: `progress(phase, done, total)` is called on the thread that called the
-work, with the phase's name, the steps that are done, and their number or None.
+work, with the name of what is done now, the steps that are done, and their number or None. Of a
+fit the steps are thousandths of its time.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+FORMAT = "{percentage:3.0f}%|{bar}| {desc}, {elapsed}, {remaining} left"
+
 
 class ProgressBar:
-    """A tqdm bar for each phase, in terminals and notebooks; needs the package tqdm.
+    """One tqdm bar for the whole work, in terminals and notebooks; needs the package tqdm.
 
     >>> images = scene.render(brdf, progress=rig.ProgressBar())  # doctest: +SKIP
 
@@ -21,21 +24,23 @@ class ProgressBar:
         from tqdm.auto import tqdm
 
         self._tqdm = tqdm
-        self._options = options
+        self._options = {"bar_format": FORMAT, "smoothing": 0.0} | options
         self._bar: Any = None
         self._phase: str | None = None
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
-        if phase != self._phase or done == 0:
-            self.close()
-            self._phase = phase
-            self._bar = self._tqdm(desc=phase, total=total, **self._options)
+        if self._bar is None:
+            self._bar = self._tqdm(total=total, **self._options)
+        elif total != self._bar.total or done < self._bar.n:
+            self._bar.total = total
+            self._bar.reset()
         self._bar.update(done - self._bar.n)
-        if done == total:
-            self.close()
+        if phase != self._phase or done == total:
+            self._phase = phase
+            self._bar.set_description_str(phase)
 
     def close(self) -> None:
-        """End the bar of the current phase."""
+        """End the bar; the next work begins another."""
         if self._bar is not None:
             self._bar.close()
         self._bar = self._phase = None

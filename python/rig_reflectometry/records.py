@@ -7,13 +7,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from ._native import Brdf
 
 
-@dataclass(frozen=True, eq=False)
+def _frame(columns):
+    """A pandas.DataFrame; pandas is not needed for anything else."""
+    try:
+        import pandas
+    except ImportError as error:
+        message = "to_pandas() needs the package pandas, for instance by: pip install pandas"
+        raise ImportError(message) from error
+    return pandas.DataFrame(columns)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class RadianceImage:
     """Radiance over a grid of pixels, R, G, B; row 0 is the top.
 
@@ -26,6 +36,13 @@ class RadianceImage:
     """Of each mean, (rows, columns, 3); None where it is not known."""
     valid: NDArray[np.bool_] | None = None
     """(rows, columns); False where a pixel holds no information. None: all are valid."""
+
+    def __repr__(self) -> str:
+        rows, columns = np.shape(self.mean)[:2]
+        known = "without" if self.variance is None else "with"
+        bad = 0 if self.valid is None else np.size(self.valid) - np.count_nonzero(self.valid)
+        masked = f", {bad} px not valid" if bad else ""
+        return f"RadianceImage({columns} x {rows} px, {known} variance{masked})"
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RadianceImage:
@@ -58,7 +75,7 @@ class Atom:
     """Diffuse albedo."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Table:
     """f over half angle (H values) and difference angle (D values), with its 95% interval.
 
@@ -78,8 +95,39 @@ class Table:
     constrained: NDArray[np.bool_]
     """(H, D): whether the images determine f there, or only the prior does."""
 
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame, a row for each pair of angles, with the columns of table.csv.
+
+        Raises ImportError without the package pandas.
+        """
+        half, difference = np.meshgrid(self.theta_h_deg, self.theta_d_deg, indexing="ij")
+        columns = {"theta_h_deg": half.ravel(), "theta_d_deg": difference.ravel()}
+        for name, values in [("f", self.value), ("lower", self.lower), ("upper", self.upper)]:
+            for index, channel in enumerate("rgb"):
+                columns[f"{name}_{channel}"] = values[..., index].ravel()
+        return _frame(columns | {"constrained": self.constrained.ravel()})
+
+    def __repr__(self) -> str:
+        half, difference = np.shape(self.constrained)
+        constrained = np.count_nonzero(self.constrained)
+        return f"Table({half} half x {difference} difference angles, {constrained} constrained)"
+
 
 @dataclass(frozen=True, eq=False)
+class Interval:
+    """f with its 95% interval at angles of your own, whose shape is (...)."""
+
+    value: NDArray[np.float64]
+    """(..., 3), 1/sr."""
+    lower: NDArray[np.float64]
+    """(..., 3), 1/sr."""
+    upper: NDArray[np.float64]
+    """(..., 3), 1/sr."""
+    constrained: NDArray[np.bool_]
+    """(...): whether the images determine f there, or only the prior does."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Budget:
     """Where the interval of f comes from, at K pairs of angles and by S sources."""
 
@@ -96,6 +144,20 @@ class Budget:
     share: NDArray[np.float64]
     """(K, S): part of the variance by source; rows sum to 1."""
 
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame, a row for each pair of angles and a column for each source.
+
+        Raises ImportError without the package pandas.
+        """
+        columns = {
+            name: getattr(self, name)
+            for name in ("theta_h_deg", "theta_d_deg", "value", "relative_std")
+        }
+        return _frame(columns | dict(zip(self.sources, self.share.T, strict=True)))
+
+    def __repr__(self) -> str:
+        return f"Budget({len(self.value)} pairs of angles, sources: {', '.join(self.sources)})"
+
 
 @dataclass(frozen=True)
 class FitWarning:
@@ -109,7 +171,7 @@ class FitWarning:
     """"reservation" or "distrust"."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PerChannel:
     """An error over all channels, and in each."""
 
@@ -118,8 +180,12 @@ class PerChannel:
     green: float
     blue: float
 
+    def __repr__(self) -> str:
+        channels = f"red={self.red:.3g}, green={self.green:.3g}, blue={self.blue:.3g}"
+        return f"PerChannel(all={self.all:.3g}, {channels})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Errors:
     """How far a BRDF is from a known truth; relative, dimensionless."""
 
@@ -131,6 +197,11 @@ class Errors:
     """‖cos θi (f − f̂)‖ / ‖cos θi f‖ over MERL's cells."""
     cube_root: PerChannel
     """The same cells, mean |∛a − ∛b| over mean ∛b with a = cos θi f."""
+
+    def __repr__(self) -> str:
+        named = {"environment": self.environment, "brdf": self.brdf, "cube_root": self.cube_root}
+        errors = ", ".join(f"{name}={error.all:.3g}" for name, error in named.items())
+        return f"Errors({errors})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +216,7 @@ class Projection:
     """The least value of each error that any weights reach."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Check:
     """Whether a BRDF is physical."""
 
@@ -161,6 +232,10 @@ class Check:
     """(N, 3), directional albedo there."""
     invalid: int
     """Pairs of directions with a negative, infinite or undefined value."""
+
+    def __repr__(self) -> str:
+        found = f"reciprocity={self.reciprocity:.3g}, largest_albedo={self.largest_albedo:.3g}"
+        return f"Check(passes={self.passes}, {found}, invalid={self.invalid})"
 
 
 @dataclass(frozen=True)
@@ -179,7 +254,7 @@ class Frame:
     """16-bit PNG, relative to the session."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Merged:
     """A merged bracket."""
 
@@ -192,3 +267,77 @@ class Merged:
     exposures: list[dict[str, Any]]
     """With measured_exposures, each exposure as stated and as used (s) with its relative standard
     uncertainty, shortest first; else empty. `rig merge --json` calls them `measured_exposures`."""
+
+    def __repr__(self) -> str:
+        return f"Merged({self.image!r}, masked_pixels={self.masked_pixels})"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A camera in the sample's frame: with extent_mm telecentric, with fov_deg a pinhole's view.
+
+    What is None is as the scene file has it where it says nothing. Row 0 of its images is the top.
+    """
+
+    resolution_px: ArrayLike
+    """Width and height of the images, pixels."""
+    position_mm: ArrayLike
+    """(3,)."""
+    extent_mm: ArrayLike | None = None
+    """Width and height of the field of view; orthographic."""
+    fov_deg: float | None = None
+    """Full angle of view across the image's width; perspective."""
+    look_at_mm: ArrayLike | None = None
+    """(3,), in the middle of the image; the origin if None."""
+    up: ArrayLike | None = None
+    """(3,), up in the image; +y if None."""
+    object_na: float | None = None
+    """Sine of the half angle of the cone of rays that meet in a sharp point; 0 is a pinhole."""
+    focus_mm: float | None = None
+    """Distance at which the image is sharp; that of look_at_mm if None."""
+    point_spread_px: float | None = None
+    """Standard deviation of the spread of a point in focus."""
+    principal_point_px: ArrayLike | None = None
+    """Where the lens' axis meets the image; the middle if None."""
+    pixel_aspect: float | None = None
+    """How much taller the image is than the projection says."""
+    radial: ArrayLike | None = None
+    """(3,), distortion k1, k2, k3."""
+    tangential: ArrayLike | None = None
+    """(2,), distortion p1, p2."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Light:
+    """A light far away, with to_light, or a small lamp, with position_mm and intensity."""
+
+    to_light: ArrayLike | None = None
+    """(3,), from the sample to the light, of any length."""
+    irradiance: ArrayLike | None = None
+    """On a plane that faces the light, one number or R, G, B; 1 if None."""
+    angular_radius_deg: float | None = None
+    """Of the lamp, as seen from the sample; 0 if None."""
+    position_mm: ArrayLike | None = None
+    """(3,)."""
+    intensity: ArrayLike | None = None
+    """Irradiance × mm², one number or R, G, B."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh:
+    """A surface of triangles in the sample's frame.
+
+    Seen from its front, from which it reflects, a triangle's corners run counter-clockwise.
+    """
+
+    vertices_mm: ArrayLike
+    """(V, 3)."""
+    triangles: ArrayLike
+    """(T, 3), indices of vertices."""
+    normals: ArrayLike | None = None
+    """(V, 3), for smooth shading; None: made of the facets where they are needed."""
+
+    def __repr__(self) -> str:
+        normals = "" if self.normals is None else ", with normals"
+        vertices, triangles = np.shape(self.vertices_mm)[0], np.shape(self.triangles)[0]
+        return f"Mesh({vertices} vertices, {triangles} triangles{normals})"

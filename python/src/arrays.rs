@@ -4,6 +4,8 @@
 //! while it is used, and meanwhile Python may write to the array. What comes out is handed over,
 //! not copied.
 
+use std::ops::RangeInclusive;
+
 use glam::Vec3;
 use numpy::{Element, IntoPyArray, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyMemoryError;
@@ -146,6 +148,50 @@ pub fn broadcast<'py, const N: usize>(
         .map_err(|_| input("numpy.broadcast_arrays gave another number of arrays").into())
 }
 
+/// Numbers of N arrays that are broadcast against each other.
+pub struct Columns<const N: usize> {
+    pub columns: [Vec<f64>; N],
+    /// Of the result.
+    pub shape: Vec<usize>,
+}
+
+impl<const N: usize> Columns<N> {
+    /// # Errors
+    /// Shapes that don't broadcast, numbers out of their range, and a result of so many bytes each
+    /// for which there is no room.
+    pub fn of(
+        arrays: &[Bound<'_, PyArrayDyn<f64>>; N],
+        names: [&str; N],
+        ranges: [RangeInclusive<f64>; N],
+        bytes_each: usize,
+    ) -> PyResult<Self> {
+        let views = broadcast(arrays, names)?;
+        let mut shape = Vec::new();
+        let mut columns = [(); N].map(|()| Vec::new());
+        for (index, (view, column)) in views.iter().zip(&mut columns).enumerate() {
+            let (name, range) = (names[index], &ranges[index]);
+            let array = readable(view, name)?;
+            let array = array.as_array();
+            shape = array.shape().to_vec();
+            check_room(product(&shape), bytes_each)?;
+            column.extend(array.iter().copied());
+            check_within(column, name, range)?;
+        }
+        Ok(Self { columns, shape })
+    }
+}
+
+fn check_within(values: &[f64], name: &str, range: &RangeInclusive<f64>) -> Result<(), Fault> {
+    match values.iter().find(|value| !range.contains(value)) {
+        None => Ok(()),
+        Some(bad) => {
+            let (low, high) = (range.start(), range.end());
+            let message = format!("{name} has {bad}, but must be within {low} and {high}");
+            Err(input(message))
+        }
+    }
+}
+
 fn unit_vectors(array: &Bound<'_, PyArrayDyn<f64>>, name: &str) -> Result<Vec<Vec3>, Fault> {
     let array = readable(array, name)?;
     let array = array.as_array();
@@ -172,7 +218,7 @@ fn unit_vectors(array: &Bound<'_, PyArrayDyn<f64>>, name: &str) -> Result<Vec<Ve
 pub fn list_within(
     value: &Bound<'_, PyAny>,
     name: &str,
-    range: std::ops::RangeInclusive<f64>,
+    range: RangeInclusive<f64>,
 ) -> PyResult<Vec<f64>> {
     let array = numbers(value, name)?;
     let array = readable(&array, name)?;
@@ -183,14 +229,22 @@ pub fn list_within(
         return Err(input(format!("{name} has shape {shape}, but must be a list")).into());
     }
     let values: Vec<f64> = array.iter().copied().collect();
-    match values.iter().find(|value| !range.contains(value)) {
-        None => Ok(values),
-        Some(bad) => {
-            let (low, high) = (range.start(), range.end());
-            let message = format!("{name} has {bad}, but must be within {low} and {high}");
-            Err(input(message).into())
-        }
-    }
+    check_within(&values, name, &range)?;
+    Ok(values)
+}
+
+/// Rows of three numbers, the shape (N, 3).
+pub fn rows_of_three(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<[f64; 3]>> {
+    let array = numbers(value, name)?;
+    let array = readable(&array, name)?;
+    let array = array.as_array();
+    let [rows, 3] = *array.shape() else {
+        let shape = shown(array.shape());
+        return Err(input(format!("{name} has shape {shape}, but must be (N, 3)")).into());
+    };
+    check_room(Some(rows), 2 * size_of::<[f64; 3]>())?;
+    let rows = array.rows().into_iter();
+    Ok(rows.map(|row| [row[0], row[1], row[2]]).collect())
 }
 
 /// Elements of an array of this shape; `None` beyond what can be counted.

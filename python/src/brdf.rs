@@ -1,19 +1,23 @@
 //! BRDFs: loaded, mixed, evaluated, drawn, written.
 
-use std::path::{Path, PathBuf};
+use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 
 use glam::Vec3;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rayon::prelude::*;
+use rig::brdf::discrepancy::{Discrepancy, Material, NODES};
 use rig::brdf::environment::{self, EnvironmentMap};
 use rig::brdf::sphere::sphere_image;
-use rig::brdf::{Atom, Dictionary, HalfDifference, Mixture, check};
+use rig::brdf::{Atom, Brdf as _, Dictionary, HalfDifference, Mixture, check, fitted, nbrdf};
+use rig::config::reflectance::BrdfSpec;
 use rig::export::{self, TableFormat};
 use rig::material::{self, Angles};
+use rig::session::fit_record;
 
-use crate::arrays::{self, Pairs};
+use crate::arrays::{self, Columns, Pairs};
 use crate::errors::{Fault, check_room, input};
 use crate::numbers::Integer;
 use crate::records::record;
@@ -33,12 +37,55 @@ const BYTES_PER_ANGLES: usize =
 pub struct Brdf {
     brdf: Arc<dyn rig::brdf::Brdf>,
     name: String,
+    origin: Origin,
+}
+
+/// What another process can make it of.
+enum Origin {
+    /// A name or file that [`material::load`] takes.
+    Spec(String),
+    /// Its atoms, their weights, and the discrepancy from their mixture.
+    Parts(Box<Material>),
 }
 
 impl Brdf {
-    pub fn new(brdf: Arc<dyn rig::brdf::Brdf>, name: impl Into<String>) -> Self {
-        let name = name.into();
-        Self { brdf, name }
+    /// What `spec` names, as [`material::load`].
+    fn loaded(spec: &str, name: String) -> Result<Self, Fault> {
+        if Path::new(spec).is_dir() {
+            let record = fit_record::find(Path::new(spec))?;
+            return Ok(Self::of_parts(record.fitted()?, name));
+        }
+        let brdf = material::load(spec)?;
+        let parts = brdf.as_mixture().cloned();
+        let origin = match parts {
+            Some(mixture) => Origin::Parts(Box::new(mixture.into())),
+            None => Origin::Spec(spec.to_owned()),
+        };
+        Ok(Self { brdf, name, origin })
+    }
+
+    /// The material of a scene file.
+    pub fn of_scene(spec: &BrdfSpec, name: String) -> Result<Self, Fault> {
+        match spec {
+            BrdfSpec::Table(path) => Self::loaded(&text_of(path, "table")?, name),
+            BrdfSpec::Fit(folder) => Ok(Self::of_parts(fitted::read(folder)?, name)),
+            spec => {
+                let brdf = spec.load()?;
+                let mixture = brdf.as_mixture().cloned();
+                let mixture = mixture.ok_or_else(|| input(format!("{name} is no mixture")))?;
+                Ok(Self::of_parts(mixture.into(), name))
+            }
+        }
+    }
+
+    /// A mixture with the discrepancy from it.
+    pub fn of_parts(parts: Material, name: String) -> Self {
+        let brdf: Arc<dyn rig::brdf::Brdf> = match parts.as_mixture() {
+            Some(mixture) => Arc::new(mixture.clone()),
+            None => Arc::new(parts.clone()),
+        };
+        let origin = Origin::Parts(Box::new(parts));
+        Self { brdf, name, origin }
     }
 
     pub fn inner(&self) -> &Arc<dyn rig::brdf::Brdf> {
@@ -59,9 +106,8 @@ impl Brdf {
     /// without a fit.
     #[staticmethod]
     fn load(py: Python<'_>, spec: PathBuf) -> PyResult<Self> {
-        let name = text_of(&spec, "spec")?;
-        let loaded = work::detached(py, || material::load(&name))?;
-        Ok(Self::new(loaded.map_err(Fault::from)?, name))
+        let spec = text_of(&spec, "spec")?;
+        Ok(work::detached(py, || Self::loaded(&spec, spec.clone()))??)
     }
 
     /// Mix closed forms.
@@ -99,7 +145,7 @@ impl Brdf {
         };
         let name = name.unwrap_or_else(|| format!("mixture of {}", dictionary.name()));
         let mixture = Mixture::new(dictionary, weights).map_err(Fault::from)?;
-        Ok(Self::new(Arc::new(mixture), name))
+        Ok(Self::of_parts(mixture.into(), name))
     }
 
     /// As it was named when it was loaded.
@@ -179,26 +225,8 @@ impl Brdf {
             arrays::numbers(theta_o_deg, names[1])?,
             arrays::numbers(phi_deg, names[2])?,
         ];
-        let views = arrays::broadcast(&given, names)?;
-        let shape = arrays::readable(&views[0], names[0])?
-            .as_array()
-            .shape()
-            .to_vec();
-        check_room(arrays::product(&shape), BYTES_PER_ANGLES)?;
-        let mut columns: [Vec<f64>; 3] = Default::default();
-        for ((column, view), name) in columns.iter_mut().zip(&views).zip(names) {
-            let array = arrays::readable(view, name)?;
-            column.extend(array.as_array().iter().copied());
-            let allowed = match name {
-                "phi_deg" => -1e6..=1e6,
-                _ => 0.0..=90.0,
-            };
-            if let Some(bad) = column.iter().find(|angle| !allowed.contains(*angle)) {
-                let (low, high) = (allowed.start(), allowed.end());
-                let message = format!("{name} has {bad}, but must be within {low} and {high}");
-                return Err(input(message).into());
-            }
-        }
+        let ranges = [0.0..=90.0, 0.0..=90.0, -1e6..=1e6];
+        let Columns { columns, shape } = Columns::of(&given, names, ranges, BYTES_PER_ANGLES)?;
         let [theta_i, theta_o, phi] = columns;
         let angles = theta_i.into_iter().zip(theta_o).zip(phi);
         let angles = angles.map(|((theta_i_deg, theta_o_deg), phi_deg)| Angles {
@@ -301,7 +329,7 @@ impl Brdf {
         let loaded = Arc::new(Dictionary::load(&dictionary).map_err(Fault::from)?);
         let mixture = Mixture::new(loaded, projected.weights.clone()).map_err(Fault::from)?;
         let name = format!("{} on {}", self.name, projected.dictionary);
-        let brdf = Self::new(Arc::new(mixture), name);
+        let brdf = Self::of_parts(mixture.into(), name);
         record!(
             py,
             "Projection",
@@ -347,6 +375,66 @@ impl Brdf {
     fn __repr__(&self) -> String {
         format!("<Brdf {}>", self.name)
     }
+
+    /// A name or a measured table's file is sent by its name, anything else by its values.
+    fn __reduce__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let class = py.get_type::<Self>();
+        match &self.origin {
+            Origin::Spec(spec) => {
+                let file = Path::new(spec);
+                let absolute = file.exists().then(|| path::absolute(file)).transpose()?;
+                let spec = absolute.unwrap_or_else(|| file.to_owned());
+                Ok((
+                    class.getattr("_loaded")?,
+                    (spec, &self.name).into_pyobject(py)?,
+                ))
+            }
+            Origin::Parts(parts) => {
+                let [red, green, blue] = &parts.discrepancies;
+                let discrepancies = [red, green, blue].map(|of| of.0.as_slice().to_vec());
+                let atoms = parts.mixture.dictionary().atoms().iter();
+                let atoms: Vec<_> = atoms
+                    .map(|atom| atom_record(py, atom))
+                    .collect::<Result<_, _>>()?;
+                let weights = parts.mixture.weights().clone();
+                let state = (atoms, weights, discrepancies, &self.name);
+                Ok((class.getattr("_of_parts")?, state.into_pyobject(py)?))
+            }
+        }
+    }
+
+    /// As `load`, with another name: for pickle.
+    #[staticmethod]
+    fn _loaded(py: Python<'_>, spec: PathBuf, name: String) -> PyResult<Self> {
+        let spec = text_of(&spec, "spec")?;
+        Ok(work::detached(py, || Self::loaded(&spec, name))??)
+    }
+
+    /// Of its atoms, weights and discrepancies in R, G and B: for pickle.
+    #[staticmethod]
+    fn _of_parts(
+        atoms: &Bound<'_, PyAny>,
+        weights: [Vec<f64>; 3],
+        discrepancies: [Vec<f64>; 3],
+        name: String,
+    ) -> PyResult<Self> {
+        let dictionary = Arc::new(dictionary_of(atoms)?);
+        let mixture = Mixture::new(dictionary, weights).map_err(Fault::from)?;
+        if discrepancies.iter().any(|values| values.len() != NODES) {
+            return Err(input(format!("discrepancies have other than {NODES} values each")).into());
+        }
+        let discrepancies = discrepancies.map(|values| Discrepancy(values.into()));
+        Ok(Self::of_parts(Material::new(mixture, &discrepancies), name))
+    }
+}
+
+/// Names of the embedded measured materials, as Brdf.load takes them.
+#[pyfunction]
+pub fn materials() -> Vec<String> {
+    nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).to_vec()
 }
 
 /// A dictionary by name or file, or a list of atoms.

@@ -18,7 +18,7 @@ use rig::radiometry::bracket_merge::BracketMergeError;
 use rig::session::SessionError;
 use rig::session::fit_record::FitRecordError;
 use rig::transport::polarised::NotPolarisable;
-use rig::workflow::WorkflowError;
+use rig::workflow::{StatedResultError, WorkflowError};
 use rig_core::inverse::memory::free_bytes;
 
 /// An exception class of `rig_reflectometry.errors`, by name.
@@ -180,6 +180,10 @@ impl From<MaterialError> for Fault {
     fn from(error: MaterialError) -> Self {
         match error {
             MaterialError::Fit(error) => error.into(),
+            MaterialError::UnknownMaterial { .. } => {
+                let known = rig::brdf::nbrdf::NAMES.join(", ");
+                input(format!("{error}; known are {known}"))
+            }
             error => Self::of(&error, Kind::InputError),
         }
     }
@@ -193,6 +197,18 @@ impl From<FitRecordError> for Fault {
             _ => Kind::FileError,
         };
         Self::of(&error, kind)
+    }
+}
+
+impl From<StatedResultError> for Fault {
+    fn from(error: StatedResultError) -> Self {
+        use StatedResultError::*;
+        match error {
+            Fit(error) => error.into(),
+            Session(error) => error.into(),
+            Config(error) => error.into(),
+            error => Self::of(&error, Kind::SessionError),
+        }
     }
 }
 

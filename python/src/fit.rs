@@ -1,22 +1,25 @@
 //! Fits: made from images, read from folders, looked at, exported.
 
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
-use rig::export::{self, FORMATS};
+use pyo3::types::{PyBytes, PyDict, PyTuple};
+use rig::export::{self, FORMATS, Format};
+use rig::progress::OnePhase;
+use rig::rendering::deviations;
 use rig::session::Session;
 use rig::session::fit_record::{self, BudgetRecord, FitImages, FitRecord, Interval};
-use rig::workflow::fit_images_in_memory;
+use rig::transport::suited_proposal;
+use rig::workflow::{StatedResult, fit_images_in_memory};
 
-use crate::arrays;
+use crate::arrays::{self, Columns};
 use crate::brdf::{Brdf, atom_record, by_channel};
-use crate::errors::{Fault, input};
+use crate::errors::{Fault, check_room, input};
 use crate::image::{image_record, images_of};
+use crate::numbers::Integer;
 use crate::records::{plain, record};
-use crate::scene::Scene;
+use crate::scene::{Scene, default_reflections, default_seed, render_options};
 use crate::{fit_options, work};
 
 /// Where the images of a fit are.
@@ -35,6 +38,11 @@ pub struct Fit {
     images: Images,
     name: String,
 }
+
+/// Two moments of a pixel while samples are added, and the deviation.
+const BYTES_PER_DEVIATION: usize = 3 * size_of::<[f32; 3]>();
+/// Two angles, an interval, and the parts of it that go out.
+const BYTES_PER_INTERVAL: usize = 2 * size_of::<[f64; 2]>() + 2 * size_of::<Interval>();
 
 impl Fit {
     /// A fit of a session.
@@ -86,18 +94,16 @@ impl Fit {
     /// The fitted BRDF, with its model discrepancy.
     #[getter]
     fn brdf(&self) -> PyResult<Brdf> {
-        let material = self.record.material().map_err(Fault::from)?;
-        Ok(Brdf::new(material, self.name.clone()))
+        let fitted = self.record.fitted().map_err(Fault::from)?;
+        Ok(Brdf::of_parts(fitted, self.name.clone()))
     }
 
     /// The mixture of the weights: the closest one, where the fitted BRDF differs from all.
     #[getter]
     fn mixture(&self) -> PyResult<Brdf> {
         let mixture = self.record.mixture().map_err(Fault::from)?;
-        Ok(Brdf::new(
-            Arc::new(mixture),
-            format!("mixture of {}", self.name),
-        ))
+        let name = format!("mixture of {}", self.name);
+        Ok(Brdf::of_parts(mixture.into(), name))
     }
 
     /// Name of the dictionary.
@@ -144,6 +150,48 @@ impl Fit {
             lower = layer(|cell| cell.lower)?,
             upper = layer(|cell| cell.upper)?,
             constrained = arrays::array(py, constrained, &size)?,
+        )
+    }
+
+    /// f with its 95% interval at half and difference angles, degrees within 0 and 90, at a
+    /// difference azimuth of 90°; see Interval. The two are broadcast: theta_h_deg[:, None] and
+    /// theta_d_deg make a grid.
+    ///
+    /// In the cells of the table it is the table's; between them f is the BRDF's, and the interval,
+    /// relative to f, is interpolated. Raises InputError for angles out of range.
+    fn interval(
+        &self,
+        py: Python<'_>,
+        theta_h_deg: &Bound<'_, PyAny>,
+        theta_d_deg: &Bound<'_, PyAny>,
+    ) -> PyResult<Py<PyAny>> {
+        let names = ["theta_h_deg", "theta_d_deg"];
+        let given = [
+            arrays::numbers(theta_h_deg, names[0])?,
+            arrays::numbers(theta_d_deg, names[1])?,
+        ];
+        let ranges = [0.0..=90.0, 0.0..=90.0];
+        let Columns { columns, shape } = Columns::of(&given, names, ranges, BYTES_PER_INTERVAL)?;
+        let [half, difference] = columns;
+        let angles: Vec<_> = half
+            .into_iter()
+            .zip(difference)
+            .map(|(h, d)| [h, d])
+            .collect();
+        let found = py
+            .detach(|| self.record.intervals(&angles))
+            .map_err(Fault::from)?;
+        let constrained = found.iter().map(|interval| interval.constrained).collect();
+        let layer = |of: fn(&Interval) -> [f64; 3]| {
+            arrays::triples(py, found.iter().map(of).collect(), &shape)
+        };
+        record!(
+            py,
+            "Interval",
+            value = layer(|interval| interval.value)?,
+            lower = layer(|interval| interval.lower)?,
+            upper = layer(|interval| interval.upper)?,
+            constrained = arrays::array(py, constrained, &shape)?,
         )
     }
 
@@ -245,6 +293,50 @@ impl Fit {
         records.collect()
     }
 
+    /// How sure the fit is of the images of its material in a scene: the standard deviation of each
+    /// pixel over the posterior samples, as `rig render --fit --deviation` has it.
+    ///
+    /// scene: a Scene, or the path of its file.
+    /// max_reflections, seed: as of Scene.render; as many paths are followed as a scatter needs.
+    /// progress: called as progress(phase, done, total) with rows of pixels.
+    ///
+    /// Returns one array per light, (rows, columns, 3) float32, in the images' unit. Raises
+    /// InputError for a fit without posterior samples.
+    #[pyo3(signature = (scene, *, max_reflections = default_reflections(), seed = default_seed(), progress = None))]
+    fn deviations<'py>(
+        &self,
+        py: Python<'py>,
+        scene: &Bound<'py, PyAny>,
+        max_reflections: Integer,
+        seed: Integer,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Vec<Bound<'py, PyArrayDyn<f32>>>> {
+        let scene = Scene::of(scene)?;
+        let file = scene.get().file();
+        let mut options = render_options(max_reflections, seed)?;
+        let [width, height] = file.camera.resolution_px;
+        let pixels = arrays::product(&[width, height, file.lights.len()]);
+        check_room(pixels, BYTES_PER_DEVIATION)?;
+        let samples = self.record.sampled_materials(usize::MAX);
+        let samples = samples.map_err(Fault::from)?;
+        if samples.len() < 2 {
+            let what =
+                "the fit has no posterior samples: it drew none, or an earlier version made it";
+            return Err(input(what).into());
+        }
+        let found = work::interruptible(py, progress, |progress| {
+            let (scene, material) = (file.scene()?, self.record.material()?);
+            options.proposal = suited_proposal(&scene, &*material, &options);
+            let progress = OnePhase::begun(progress, "rendering", height * samples.len());
+            Ok(deviations(&scene, &samples, &options, &progress))
+        })?;
+        let found = found.map_err(|error: Fault| PyErr::from(error))?;
+        let arrays = found.into_iter();
+        arrays
+            .map(|of_light| arrays::triples(py, of_light, &[height, width]))
+            .collect()
+    }
+
     /// Write the fit's folder, as `rig fit --out` does; it must not exist, or be empty, and
     /// appears whole or not at all. Raises FileError.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
@@ -258,16 +350,54 @@ impl Fit {
 
     /// Write the BRDF for another program, as `rig export` does; returns the files written.
     ///
-    /// format: a name of a format of that command which needs no session, such as "merl".
+    /// format: a name of a format of that command, such as "merl". "birdf", which states how the
+    ///     sample was measured, is for the fits of a session.
+    ///
+    /// Raises InputError for another format, and for "birdf" without a session.
     fn export(&self, py: Python<'_>, path: PathBuf, format: &str) -> PyResult<Vec<PathBuf>> {
-        let known = FORMATS.iter().filter(|format| format.needs_no_session());
-        let Some(format) = known.clone().find(|known| known.name == format) else {
-            let known: Vec<_> = known.map(|format| format.name).collect();
+        let Some(format) = Format::named(format) else {
+            let known: Vec<_> = FORMATS.iter().map(|format| format.name).collect();
             let known = known.join(", ");
             return Err(input(format!("format is {format:?}, but must be one of {known}")).into());
         };
-        let written = work::detached(py, || export::export(&self.record, format, &path))?;
-        Ok(written.map_err(Fault::from)?.files)
+        let written = work::detached(py, || match &self.images {
+            Images::Session { root, number } if !format.needs_no_session() => {
+                let result = StatedResult::load(root, Some(*number))?;
+                Ok::<_, Fault>(export::export_session(&result, &format, &path)?)
+            }
+            _ => Ok(export::export(&self.record, &format, &path)?),
+        })?;
+        Ok(written?.files)
+    }
+
+    /// Sent with its images, as the files of its folder.
+    fn __reduce__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let files = py.detach(|| {
+            let images = self.load_images()?;
+            Ok::<_, Fault>(fit_record::encode(Path::new(""), &self.record, &images)?)
+        })?;
+        let files = files
+            .iter()
+            .map(|(name, bytes)| (name, PyBytes::new(py, bytes)));
+        let state = (files.collect::<Vec<_>>(), &self.name).into_pyobject(py)?;
+        Ok((py.get_type::<Self>().getattr("_of_files")?, state))
+    }
+
+    /// Of the files of its folder: for pickle.
+    #[staticmethod]
+    fn _of_files(py: Python<'_>, files: Vec<(String, Vec<u8>)>, name: String) -> PyResult<Self> {
+        let (record, images) = py
+            .detach(|| fit_record::decode(&files))
+            .map_err(Fault::from)?;
+        let images = Images::Memory(Box::new(images));
+        Ok(Self {
+            record,
+            images,
+            name,
+        })
     }
 
     fn __repr__(&self) -> String {
@@ -315,7 +445,7 @@ fn budget_record(py: Python<'_>, budget: &BudgetRecord) -> PyResult<Py<PyAny>> {
 /// The keywords of the options of a fit, as signatures state them.
 macro_rules! fit_keywords {
     () => {
-        "dictionary=None, optimizer=None, samples_per_cell=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory_mib=None, kernel=None, refine_bench=None, uncertainty=None"
+        "dictionary=None, optimizer=None, spp=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory=None, kernel=None, refine_bench=None, uncertainty=None, samples_per_cell=None, memory_mib=None"
     };
 }
 pub(crate) use fit_keywords;
@@ -329,15 +459,16 @@ pub(crate) use fit_keywords;
 ///     assumed. Arrays are copied.
 /// dictionary: "rig65" (the default), "rig26", "paper42" or a dictionary file.
 /// optimizer: "gauss-newton" (the default), "exponentiated-gradient", "single-bounce".
-/// samples_per_cell: light paths, 2 to 65536. max_reflections: 2 to 64. seed: of the paths.
+/// spp: light paths per cell, 2 to 65536. max_reflections: 2 to 64. seed: of the paths.
 /// shared_weights: the same weights for all channels. model_error: 0 to 1.
 /// mask: PNG of the images' size, white where pixels are compared.
-/// cells: most cells that are compared. memory_mib: for the whole fit.
+/// cells: most cells that are compared. memory: for the whole fit, MiB.
 /// kernel: "portable", "avx2", "avx512" or "auto".
 /// refine_bench: refine lights and pose too, within the scene file's uncertainty, of which
 ///     uncertainty, a dictionary such as {"light_deg": 0.5}, replaces values.
 /// out: folder in which to keep the fit, as Fit.save.
-/// progress: called as progress(phase, done, total); total is None.
+/// samples_per_cell, memory_mib: the same as spp and memory.
+/// progress: called as progress(phase, done, total) with thousandths of the fit's time.
 ///
 /// Raises InputError for arrays and choices that cannot be used, SceneError, FitError for images
 /// that cannot be the scene's and for too little memory, MissingFileError or FileError.

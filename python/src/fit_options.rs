@@ -1,4 +1,5 @@
-//! The keywords of a fit as the library's request.
+//! The keywords of a fit as the library's request. They are the command line's names, and the
+//! longer names of earlier versions.
 
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -12,7 +13,13 @@ use rig::config::uncertainty::Deviation;
 
 use crate::brdf::text_of;
 use crate::errors::input;
-use crate::numbers::{Integer, Real};
+use crate::numbers::{Integer, Real, either};
+
+/// The library's keys that have two names here: the command line's, and that of earlier versions.
+const TWO_NAMES: [(&str, [&str; 2]); 2] = [
+    ("samples_per_cell", ["spp", "samples_per_cell"]),
+    ("memory_mib", ["memory", "memory_mib"]),
+];
 
 /// Reads the keywords of `function`, each once.
 struct Keywords<'a, 'py> {
@@ -39,6 +46,20 @@ impl<'py> Keywords<'_, 'py> {
         value.map(Some)
     }
 
+    /// The name under which the value of a key of the library is given, and the value.
+    fn take_key<T: FromPyObjectOwned<'py>>(
+        &self,
+        key: &'static str,
+    ) -> PyResult<Option<(&'static str, T)>> {
+        match TWO_NAMES.iter().find(|(known, _)| *known == key) {
+            None => Ok(self.take(key)?.map(|value| (key, value))),
+            Some(&(_, [name, other])) => either(
+                self.function,
+                [(name, self.take(name)?), (other, self.take(other)?)],
+            ),
+        }
+    }
+
     fn finish(self) -> PyResult<()> {
         match self.left.and_then(|left| left.keys().iter().next()) {
             None => Ok(()),
@@ -54,8 +75,9 @@ impl Source for Keywords<'_, '_> {
     type Error = PyErr;
 
     fn integer(&mut self, key: &'static str, range: RangeInclusive<u64>) -> PyResult<Option<u64>> {
-        let value = self.take::<Integer>(key)?;
-        Ok(value.map(|value| value.within(key, range)).transpose()?)
+        let value = self.take_key::<Integer>(key)?;
+        let value = value.map(|(name, value)| value.within(name, range));
+        Ok(value.transpose()?)
     }
 
     fn number(&mut self, key: &'static str, range: RangeInclusive<f64>) -> PyResult<Option<f64>> {

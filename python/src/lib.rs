@@ -11,7 +11,7 @@
 //! | [`work`] | long work: the lock released, Ctrl-C, progress, forked processes |
 //! | [`brdf`], [`score`] | BRDFs, and how far one is from another |
 //! | [`image`], [`merge`] | radiance images, and brackets merged into one |
-//! | [`scene`] | scene files and renders |
+//! | [`scene`], [`scene_parts`] | scenes from files and arrays, and renders |
 //! | [`fit`], [`fit_options`], [`session`] | fits and captured sessions |
 
 use pyo3::prelude::*;
@@ -26,6 +26,7 @@ mod merge;
 mod numbers;
 mod records;
 mod scene;
+mod scene_parts;
 mod score;
 mod session;
 mod work;
@@ -33,7 +34,7 @@ mod work;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use super::brdf::Brdf;
+    use super::brdf::{Brdf, materials};
     #[pymodule_export]
     use super::fit::{Fit, fit};
     #[pymodule_export]

@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
-use pyo3::exceptions::PyOverflowError;
+use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 
 use crate::errors::{Fault, input};
@@ -56,6 +56,26 @@ impl Integer {
             "{name} is {found}, but must be from {low} to {high}"
         ))
     }
+}
+
+/// What is given by the name of the command line's option or by that of earlier versions, with the
+/// name.
+///
+/// # Errors
+/// TypeError where both are given.
+pub fn either<T>(
+    function: &str,
+    [first, second]: [(&'static str, Option<T>); 2],
+) -> PyResult<Option<(&'static str, T)>> {
+    Ok(match (first, second) {
+        ((name, Some(value)), (_, None)) | ((_, None), (name, Some(value))) => Some((name, value)),
+        ((_, None), (_, None)) => None,
+        ((name, Some(_)), (other, Some(_))) => {
+            return Err(PyTypeError::new_err(format!(
+                "{function}() got both '{name}' and '{other}', which are two names of one keyword"
+            )));
+        }
+    })
 }
 
 /// A real number. One that no float64 holds is infinite.

@@ -182,6 +182,10 @@ impl Session {
         self.latest_fit()
     }
 
+    fn __getnewargs__(&self) -> std::io::Result<(PathBuf,)> {
+        Ok((std::path::absolute(&self.root)?,))
+    }
+
     fn __repr__(&self) -> String {
         format!("<Session {}>", self.root.display())
     }

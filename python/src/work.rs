@@ -113,12 +113,17 @@ fn attend(
     }
 }
 
+/// Steps of work that says how much of its time is over.
+const PARTS: usize = 1000;
+
 /// The phase that was last reported to Python.
 #[derive(Default)]
 struct Shown {
     phase: String,
     done: usize,
     total: Option<usize>,
+    /// Whether `done` of `total` is of all phases together.
+    counts_all: bool,
 }
 
 impl Shown {
@@ -136,14 +141,26 @@ impl Shown {
                 logger.call_method1("info", ("%s", text))?;
                 return Ok(());
             }
+            Report::Begin(phase, _) if self.counts_all => self.phase = phase,
             Report::Begin(phase, total) => {
                 *self = Self {
                     phase,
                     done: 0,
                     total,
+                    counts_all: false,
                 };
             }
+            Report::Advance(_) if self.counts_all => return Ok(()),
             Report::Advance(steps) => self.done += steps,
+            Report::PartOver(part) => {
+                self.done = (part * PARTS as f64) as usize;
+                self.total = Some(PARTS);
+                self.counts_all = true;
+                // Else the phase's name follows.
+                if self.done < PARTS {
+                    return Ok(());
+                }
+            }
         }
         match progress {
             Some(progress) => progress
@@ -157,6 +174,7 @@ impl Shown {
 enum Report {
     Begin(String, Option<usize>),
     Advance(usize),
+    PartOver(f64),
     Notice(String),
 }
 
@@ -196,5 +214,9 @@ impl Progress for Reporter<'_> {
 impl Observer for Reporter<'_> {
     fn notice(&self, notice: Notice<'_>) {
         self.report(Report::Notice(notice.to_string()));
+    }
+
+    fn part_over(&self, part: f64) {
+        self.report(Report::PartOver(part));
     }
 }

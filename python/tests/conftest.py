@@ -75,7 +75,7 @@ def scene(scene_file):
 @pytest.fixture(scope="session")
 def images(scene):
     """Two images of the scene, 20 x 16 pixels."""
-    return scene.render(samples_per_pixel=64)
+    return scene.render(spp=64)
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +83,7 @@ def quick_fit(scene, images):
     return rig.fit(scene, images, **QUICK)
 
 
-QUICK = {"dictionary": "paper42", "samples_per_cell": 32, "cells": 100, "max_reflections": 4}
+QUICK = {"dictionary": "paper42", "spp": 32, "cells": 100, "max_reflections": 4}
 QUICK_ARGUMENTS = "--dictionary paper42 --spp 32 --cells 100 --max-reflections 4".split()
 
 

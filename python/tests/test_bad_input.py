@@ -37,7 +37,7 @@ def test_directions(wi, wo, said):
 @pytest.mark.parametrize(
     ("spec", "kind", "said"),
     [
-        ("nbrdf:gold", rig.InputError, "gold"),
+        ("nbrdf:gold", rig.InputError, 'no embedded material "gold"; known are .*red-plastic'),
         ("nothing", rig.InputError, "known"),
         ("ggx:3,1.5", rig.InputError, "alpha"),
         ("missing.binary", rig.MissingFileError, "missing.binary"),
@@ -146,9 +146,11 @@ def test_scenes(tmp_path, scene):
     without = SCENE[: SCENE.index("[brdf]")]
     with pytest.raises(rig.InputError, match="no .brdf. table"):
         rig.Scene.parse(without).render()
-    for choice in [{"samples_per_pixel": 1}, {"max_reflections": 65}]:
+    for choice in [{"spp": 1}, {"samples_per_pixel": 1}, {"max_reflections": 65}]:
         with pytest.raises(rig.InputError, match="must be from"):
             scene.render(**choice)
+    with pytest.raises(TypeError, match="both 'spp' and 'samples_per_pixel'"):
+        scene.render(spp=2, samples_per_pixel=2)
     with pytest.raises(rig.InputError):
         scene.render(rig.Brdf.load("nbrdf:red-plastic"), polarised=True)
 
@@ -245,7 +247,10 @@ def test_choices_of_a_fit(scene, images, tmp_path):
         ({"uncertainty": {"light": 1}}, rig.InputError, "unknown key light"),
         ({"uncertainty": {"light_deg": 1}}, rig.InputError, "not refined"),
         ({"mask": tmp_path / "no.png"}, rig.InputError, "no.png"),
-        ({"spp": 16}, TypeError, "unexpected keyword argument 'spp'"),
+        ({"spp": 1}, rig.InputError, "spp is 1, but must be from 2"),
+        ({"spp": 16, "samples_per_cell": 16}, TypeError, "both 'spp' and 'samples_per_cell'"),
+        ({"memory": 1}, rig.InputError, "memory is 1, but must be from 16"),
+        ({"samples": 16}, TypeError, "unexpected keyword argument 'samples'"),
         ({"seed": "one"}, TypeError, "argument 'seed'"),
         ({"memory_mib": 16, "samples_per_cell": 65536, "cells": 40000}, rig.FitError, "memory|MiB"),
     ]:

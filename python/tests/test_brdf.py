@@ -40,6 +40,12 @@ def test_values_are_those_of_the_program(program, spec, tmp_path):
     np.testing.assert_allclose(brdf(wi, wo), expected, rtol=2e-3, atol=1e-6)
 
 
+def test_all_materials_are_there():
+    names = rig.materials()
+    assert len(names) == 26 and "nbrdf:red-plastic" in names
+    assert rig.Brdf.load(names[-1]).name == names[-1]
+
+
 def test_files_are_read_as_the_program_reads_them(program, tmp_path):
     plastic = rig.Brdf.load("nbrdf:red-plastic")
     angles = np.array([[10, 20, 180], [30, 31, 170], [60, 5, 90]])

@@ -14,7 +14,7 @@ def same_pixels(a, b):
 
 
 def test_renders_are_those_of_the_program(program, scene, scene_file, images, tmp_path):
-    assert (scene.shape, scene.lights) == ((16, 20), 2)
+    assert (scene.shape, len(scene.lights)) == ((16, 20), 2)
     program("render", "--scene", scene_file, "--out", tmp_path / "i.exr", "--spp", 64)
     for light, image in enumerate(images):
         written = rig.RadianceImage.load(tmp_path / f"i_L{light:03}.exr")
@@ -85,6 +85,41 @@ def test_a_fit_has_arrays_of_the_stated_shapes(quick_fit):
     assert fit.residual()[0].variance is None
 
 
+def test_an_interval_is_the_tables_or_between_its_cells(quick_fit):
+    table = quick_fit.table
+    half, difference = table.theta_h_deg[[0, 12, 45]], table.theta_d_deg[[3, 30]]
+    at_cells = quick_fit.interval(half[:, None], difference)
+    for field in ["value", "lower", "upper", "constrained"]:
+        of_table = getattr(table, field)[[0, 12, 45]][:, [3, 30]]
+        assert np.array_equal(getattr(at_cells, field), of_table), field
+    between = quick_fit.interval(15.0, [[10.0], [37.0]])
+    assert (between.value.shape, between.constrained.shape) == ((2, 1, 3), (2, 1))
+    assert (between.lower <= between.value).all() and (between.value <= between.upper).all()
+    f = quick_fit.brdf.table([15.0], [10.0, 37.0])
+    np.testing.assert_allclose(between.value[:, 0], f[0], rtol=1e-4)
+    # As wide as the cells around, relative to f.
+    i, j = np.searchsorted(table.theta_h_deg, 15.0), np.searchsorted(table.theta_d_deg, 10.0)
+    around = np.s_[i - 1 : i + 1, j - 1 : j + 1]
+    width = table.upper[around] / table.value[around]
+    own = between.upper[0, 0] / between.value[0, 0]
+    assert (width.min((0, 1)) <= own).all() and (own <= width.max((0, 1))).all()
+    for bad, said in [((95, 0), "theta_h_deg has 95"), (([1, 2], [1, 2, 3]), "don't broadcast")]:
+        with pytest.raises(rig.InputError, match=said):
+            quick_fit.interval(*bad)
+
+
+def test_deviations_are_those_of_the_program(program, scene, scene_file, quick_fit, tmp_path):
+    quick_fit.save(tmp_path / "fit")
+    options = ["--deviation", tmp_path / "d.exr", "--out", tmp_path / "i.exr", "--spp", 2]
+    program("render", "--scene", scene_file, "--fit", tmp_path / "fit", *options)
+    seen = []
+    ours = quick_fit.deviations(scene, progress=lambda *report: seen.append(report))
+    for light, deviation in enumerate(ours):
+        written = rig.RadianceImage.load(tmp_path / f"d_L{light:03}.exr")
+        assert deviation.any() and np.array_equal(deviation, written.mean)
+    assert seen[0] == ("rendering", 0, 16 * 32) and seen[-1] == ("rendering", 16 * 32, 16 * 32)
+
+
 def test_a_fit_is_found_in_its_folder_and_written_once(quick_fit, tmp_path):
     quick_fit.save(tmp_path / "fit")
     table = (tmp_path / "fit/table.csv").read_text().splitlines()
@@ -103,5 +138,7 @@ def test_exports_are_those_of_the_program(program, quick_fit, tmp_path):
         assert list(map(str, quick_fit.export(ours, format))) == [str(ours)]
         program("export", tmp_path / "fit", "--format", format, "--out", theirs)
         assert ours.read_bytes() == theirs.read_bytes()
+    with pytest.raises(rig.InputError, match="birdf needs the session of the fit"):
+        quick_fit.export(tmp_path / "x.json", "birdf")
     with pytest.raises(rig.InputError, match='"obj", but must be one of json, merl, '):
         quick_fit.export(tmp_path / "x.obj", "obj")

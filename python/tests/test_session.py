@@ -24,7 +24,7 @@ def test_what_was_captured_is_there(session_folder):
     assert session.fits == []
 
 
-def test_fits_are_those_of_the_program(program, session_folder):
+def test_fits_are_those_of_the_program(program, session_folder, tmp_path):
     session = rig.Session(session_folder)
     phases = []
     ours = session.fit(**QUICK, progress=lambda phase, done, total: phases.append(phase))
@@ -36,6 +36,11 @@ def test_fits_are_those_of_the_program(program, session_folder):
     assert ours.record["score"] == theirs.record["score"]
     assert np.array_equal(ours.rendered()[1].mean, theirs.rendered()[1].mean)
     assert np.array_equal(rig.Fit.load(session_folder / "fits/1").weights, ours.weights)
+    # How it was measured is stated as well.
+    assert ours.export(tmp_path / "ours.json", "birdf") == [tmp_path / "ours.json"]
+    export = ["--fit", 0, "--format", "birdf", "--out", tmp_path / "theirs.json"]
+    program("export", session_folder, *export)
+    assert (tmp_path / "ours.json").read_bytes() == (tmp_path / "theirs.json").read_bytes()
     # The session is still whole.
     program("session", "verify", session_folder)
 

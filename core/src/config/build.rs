@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use super::mesh::shaded;
 use super::reflectance::BrdfSpec;
 use super::scene::SceneFile;
 use super::view::{BodySpec, SampleSpec, SurfaceSpec};
@@ -34,6 +35,7 @@ impl SurfaceSpec {
         match self {
             SurfaceSpec::Shape(shape) => Ok(with_segments(shape, segments).mesh()?),
             SurfaceSpec::Mesh(spec) => Ok(spec.load(shading)?),
+            SurfaceSpec::Made(mesh) => Ok(shaded((**mesh).clone(), shading, None, "the mesh")),
         }
     }
 }

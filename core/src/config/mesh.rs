@@ -65,23 +65,35 @@ impl MeshSpec {
     /// # Errors
     /// As [`files::read`].
     pub fn load(&self, shading: Shading) -> Result<Mesh, MeshError> {
-        let mut mesh = files::read(&self.path, &self.placement)?;
-        if shading == Shading::Flat {
-            let of_normals = |what: &MeshRemark| {
-                matches!(what, MeshRemark::Normals { .. } | MeshRemark::NormalsTurned)
-            };
-            mesh.remarks.retain(|remark| !of_normals(&remark.what));
-            return Ok(mesh);
-        }
-        if mesh.normals.is_some() && self.crease_deg.is_none() {
-            return Ok(mesh);
-        }
-        let crease_deg = self.crease_deg.unwrap_or(DEFAULT_CREASE_DEG);
-        let (mut smooth, remark) = mesh.smoothed(crease_deg.to_radians() as f32);
-        smooth.remarks.extend(remark.map(|what| FileRemark {
-            file: self.path.display().to_string(),
-            what,
-        }));
-        Ok(smooth)
+        let mesh = files::read(&self.path, &self.placement)?;
+        let name = self.path.display().to_string();
+        Ok(shaded(mesh, shading, self.crease_deg, &name))
     }
+}
+
+/// The mesh as it is shaded, with normals for smooth shading: its own, unless a crease is stated,
+/// or those of its facets.
+pub(super) fn shaded(
+    mut mesh: Mesh,
+    shading: Shading,
+    crease_deg: Option<f64>,
+    name: &str,
+) -> Mesh {
+    if shading == Shading::Flat {
+        let of_normals = |what: &MeshRemark| {
+            matches!(what, MeshRemark::Normals { .. } | MeshRemark::NormalsTurned)
+        };
+        mesh.remarks.retain(|remark| !of_normals(&remark.what));
+        return mesh;
+    }
+    if mesh.normals.is_some() && crease_deg.is_none() {
+        return mesh;
+    }
+    let crease_deg = crease_deg.unwrap_or(DEFAULT_CREASE_DEG);
+    let (mut smooth, remark) = mesh.smoothed(crease_deg.to_radians() as f32);
+    smooth.remarks.extend(remark.map(|what| FileRemark {
+        file: name.to_owned(),
+        what,
+    }));
+    smooth
 }

@@ -1,6 +1,8 @@
 //! What rig files and scene files say in the same words: where the camera
 //! stands, and what lies in front of it.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 
 use super::ConfigError;
@@ -8,7 +10,7 @@ use super::mesh::MeshSpec;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::shape::read_shape;
-use crate::geometry::{FormError, Shape};
+use crate::geometry::{FormError, Mesh, Shape};
 use crate::transport::{Camera, CameraBody, Coefficients, LensSpec, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
@@ -151,6 +153,8 @@ pub enum SurfaceSpec {
     Mesh(MeshSpec),
     /// A shape by its parameters.
     Shape(Shape),
+    /// A mesh that a program has made; no file names it.
+    Made(Arc<Mesh>),
 }
 
 impl SurfaceSpec {

@@ -133,9 +133,7 @@ pub(super) fn fit_on_bench(
     };
 
     // The estimate, or the average of two.
-    let averages =
-        options.posterior_samples > 0 && matches!(options.optimizer, Optimizer::GaussNewton(_));
-    let part = match dictionary.first_part().filter(|_| averages) {
+    let part = match options.second_estimate(dictionary) {
         Some(part) => {
             let Found {
                 posterior, solved, ..

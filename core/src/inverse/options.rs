@@ -3,6 +3,7 @@
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::Channels;
+use crate::brdf::Dictionary;
 use crate::brdf::projection::ProjectionError;
 use crate::cells::AverageError;
 use crate::geometry::FormError;
@@ -73,6 +74,16 @@ impl Default for FitOptions {
             form_error: None,
             kernel: Kernel::detect(),
         }
+    }
+}
+
+impl FitOptions {
+    /// The first part of the dictionary, where the material is estimated by it as well and both
+    /// estimates are averaged.
+    pub fn second_estimate(&self, dictionary: &Dictionary) -> Option<Dictionary> {
+        let averages =
+            self.posterior_samples > 0 && matches!(self.optimizer, Optimizer::GaussNewton(_));
+        dictionary.first_part().filter(|_| averages)
     }
 }
 

@@ -51,7 +51,7 @@ pub use budget::{BudgetRecord, BudgetRow};
 pub use find::{find, find_in_session};
 pub use folder::parse;
 pub use folder::{
-    check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
+    check_folder, commit, decode, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,
 };
 pub(in crate::session) use folder::{commit_numbered, numbers_of, write_files};
@@ -340,10 +340,22 @@ impl FitRecord {
     /// # Errors
     /// As of [`FitRecord::mixture`].
     pub fn material(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
+        let fitted = self.fitted()?;
+        Ok(match &self.discrepancy {
+            None => Arc::new(fitted.mixture),
+            Some(_) => Arc::new(fitted),
+        })
+    }
+
+    /// The same as its mixture and the discrepancy from it.
+    ///
+    /// # Errors
+    /// As of [`FitRecord::mixture`].
+    pub fn fitted(&self) -> Result<Material, BrdfError> {
         let mixture = self.mixture()?;
         Ok(match &self.discrepancy {
-            None => Arc::new(mixture),
-            Some(discrepancy) => Arc::new(Material::new(mixture, &discrepancy.by_channel)),
+            None => mixture.into(),
+            Some(discrepancy) => Material::new(mixture, &discrepancy.by_channel),
         })
     }
 

@@ -1,5 +1,6 @@
 //! Fitting by a plan.
 
+use super::fit_course::Course;
 use super::fit_plan::FitPlan;
 use super::notice::{Notice, Observer};
 use super::{WorkflowError, coarse_facets, fit_memory, summary, warnings};
@@ -33,6 +34,9 @@ impl FitPlan {
         truth: Option<(&str, &dyn Brdf)>,
         observer: &dyn Observer,
     ) -> Result<Run, WorkflowError> {
+        let two_estimates = self.options.second_estimate(&self.dictionary).is_some();
+        let course = Course::new(observer, two_estimates, self.priors.is_some());
+        let observer: &dyn Observer = &course;
         let mut remarks: Vec<String> = scene.remarks().iter().map(ToString::to_string).collect();
         let mut remark = |text: String| {
             observer.notice(Notice::Remark(&text));
@@ -90,6 +94,7 @@ impl FitPlan {
                 amplitude: fit.discrepancy,
             });
         }
+        course.end();
         Ok(Run {
             record,
             fit,

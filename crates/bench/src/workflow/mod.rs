@@ -19,6 +19,7 @@ mod bench_records;
 mod cell_images;
 mod error;
 mod facets;
+mod fit_course;
 mod fit_images;
 mod fit_memory;
 mod fit_plan;

@@ -127,6 +127,12 @@ pub trait Observer: Progress {
     fn notice(&self, notice: Notice<'_>) {
         let _ = notice;
     }
+
+    /// So much of the whole work's time is over, 0 to 1, as far as that is known; of a fit it comes
+    /// before each phase and at the end.
+    fn part_over(&self, part: f64) {
+        let _ = part;
+    }
 }
 
 /// Ignores everything.

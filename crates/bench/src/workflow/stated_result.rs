@@ -96,6 +96,7 @@ impl StatedResult {
                 let name = mesh.path.file_name().unwrap_or_default();
                 format!("surface of the mesh {}", name.to_string_lossy())
             }
+            SurfaceSpec::Made(_) => "surface of a mesh".to_owned(),
             SurfaceSpec::Shape(shape) => match shape {
                 Shape::Bowl { radius_mm, .. } => {
                     format!("hollow hemisphere, radius {radius_mm} mm")

@@ -3,7 +3,7 @@
 
 use super::WorkflowError;
 use crate::brdf::discrepancy::Material;
-use crate::progress::Progress;
+use crate::progress::{OnePhase, Progress};
 use crate::radiance_image::RadianceImage;
 use crate::rendering::deviations;
 use crate::session::fit_record::FitRecord;
@@ -25,19 +25,6 @@ pub(super) struct Predicted {
     pub image: RadianceImage,
     /// Standard deviation over the posterior samples, per pixel, R, G, B.
     pub deviations: Vec<[f32; 3]>,
-}
-
-/// One phase, whatever is rendered in it.
-struct OnePhase<'a>(&'a dyn Progress);
-
-impl Progress for OnePhase<'_> {
-    fn advance(&self, rows: usize) {
-        self.0.advance(rows);
-    }
-
-    fn pulse(&self) {
-        self.0.pulse();
-    }
 }
 
 /// Predicts the image of each of these lights of a scene and hands it out, in their order.
@@ -64,8 +51,8 @@ pub(super) fn predict(
     };
     options.proposal = suited_proposal(&under(scene, lights), material, &options);
     let rows = scene.camera.resolution_px[1] * (1 + samples.len());
-    progress.begin("predicting", Some(rows * lights.len().div_ceil(AT_A_TIME)));
-    let progress = &OnePhase(progress);
+    let steps = rows * lights.len().div_ceil(AT_A_TIME);
+    let progress = &OnePhase::begun(progress, "predicting", steps);
     for lights in lights.chunks(AT_A_TIME) {
         let part = under(scene, lights);
         let images = render_with_progress(&part, material, &options, progress);

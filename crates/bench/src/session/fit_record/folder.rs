@@ -85,6 +85,34 @@ pub fn encode(
     Ok(files)
 }
 
+/// Reads what [`encode`] made.
+///
+/// # Errors
+/// A file that is missing, or that does not parse.
+pub fn decode(files: &[(String, Vec<u8>)]) -> Result<(FitRecord, FitImages), FitRecordError> {
+    let find = |wanted: &str| files.iter().find(|(name, _)| name == wanted);
+    let record = parse(Path::new(""), |path, name| match find(name) {
+        Some((_, bytes)) => Ok(bytes.clone()),
+        None => Err(FitRecordError::Io {
+            path: path.to_owned(),
+            source: std::io::ErrorKind::NotFound.into(),
+        }),
+    })?;
+    let series = |kind: &str| {
+        (0..)
+            .map_while(|light| find(&image_name(kind, light)))
+            .map(|(name, bytes)| Ok(exr::decode(bytes, Path::new(name))?.image))
+            .collect::<Result<Vec<_>, FitRecordError>>()
+    };
+    let cells = find(CELLS_FILE).map(|(_, bytes)| String::from_utf8_lossy(bytes).into_owned());
+    let images = FitImages {
+        rendered: series("rendered")?,
+        residual: series("residual")?,
+        cells_csv: cells.unwrap_or_default(),
+    };
+    Ok((record, images))
+}
+
 /// Adds a fit to a session under the next free number and returns its folder.
 /// Every file is journalled; `fit.toml`, the last one, makes the fit count.
 ///

@@ -1,6 +1,7 @@
 //! The table at any pair of angles.
 
-use super::{AngleTable, Interval};
+use super::{AngleTable, FitRecord, Interval};
+use crate::brdf::BrdfError;
 
 /// Values below this count as this where logarithms are taken, 1/sr.
 pub const SMALLEST: f64 = 1e-6;
@@ -27,20 +28,74 @@ impl AngleTable {
         [theta_h_deg, theta_d_deg]: [f64; 2],
         channel: usize,
     ) -> Option<[f64; 2]> {
-        let log = |value: f64| value.max(SMALLEST).log10();
+        let around = self.around([theta_h_deg, theta_d_deg])?;
+        Some(relative(&around, channel))
+    }
+
+    /// The four cells around a pair of angles, degrees, with their shares, which sum to 1.
+    fn around(&self, [theta_h_deg, theta_d_deg]: [f64; 2]) -> Option<[(&Interval, f64); 4]> {
         let (i, u) = between(&self.theta_h_deg, theta_h_deg)?;
         let (j, v) = between(&self.theta_d_deg, theta_d_deg)?;
-        let mut sum = [0.0; 2];
-        for (di, wi) in [(0, 1.0 - u), (1, u)] {
-            for (dj, wj) in [(0, 1.0 - v), (1, v)] {
-                let cell = self.cell(i + di, j + dj)?;
-                let value = log(cell.value[channel]);
-                sum[0] += wi * wj * (log(cell.lower[channel]) - value);
-                sum[1] += wi * wj * (log(cell.upper[channel]) - value);
-            }
-        }
-        Some(sum)
+        Some([
+            (self.cell(i, j)?, (1.0 - u) * (1.0 - v)),
+            (self.cell(i, j + 1)?, (1.0 - u) * v),
+            (self.cell(i + 1, j)?, u * (1.0 - v)),
+            (self.cell(i + 1, j + 1)?, u * v),
+        ])
     }
+}
+
+impl FitRecord {
+    /// The BRDF and its 95% interval at pairs of half and difference angles (degrees, 0 to 90), at
+    /// φd = 90°, as [`Fit::interval`](crate::inverse::Fit::interval) has them while all posterior
+    /// samples are there. The BRDF is the material's; relative to it the interval is that of the
+    /// table, in its cells the same, between them interpolated, and the images constrain it where
+    /// they constrain every cell around.
+    ///
+    /// # Errors
+    /// As of [`FitRecord::mixture`].
+    pub fn intervals(&self, angles_deg: &[[f64; 2]]) -> Result<Vec<Interval>, BrdfError> {
+        let material = self.fitted()?;
+        let at = |&angles @ [theta_h_deg, theta_d_deg]: &[f64; 2]| {
+            let dictionary = material.mixture.dictionary();
+            let atoms = dictionary.values_at(theta_h_deg, theta_d_deg);
+            let value = material.at(&atoms, theta_h_deg, theta_d_deg);
+            let Some(around) = self.table.around(angles) else {
+                return Interval {
+                    value,
+                    lower: value,
+                    upper: value,
+                    constrained: false,
+                };
+            };
+            if let Some((cell, _)) = around.iter().find(|(_, share)| *share == 1.0) {
+                return **cell;
+            }
+            let end =
+                |end: usize| [0, 1, 2].map(|c| value[c] * 10f64.powf(relative(&around, c)[end]));
+            Interval {
+                value,
+                lower: end(0),
+                upper: end(1),
+                constrained: around
+                    .iter()
+                    .all(|(cell, share)| cell.constrained || *share == 0.0),
+            }
+        };
+        Ok(angles_deg.iter().map(at).collect())
+    }
+}
+
+/// log10 of lower/f and upper/f of one channel, between cells with these shares.
+fn relative(around: &[(&Interval, f64); 4], channel: usize) -> [f64; 2] {
+    let log = |value: f64| value.max(SMALLEST).log10();
+    let mut sum = [0.0; 2];
+    for (cell, share) in around {
+        let value = log(cell.value[channel]);
+        sum[0] += share * (log(cell.lower[channel]) - value);
+        sum[1] += share * (log(cell.upper[channel]) - value);
+    }
+    sum
 }
 
 /// Index of the angle that is nearest to `angle`; `angles` increase.

@@ -26,6 +26,8 @@ fn record_and_images_come_back_as_they_were() {
     write(&folder, &sample(), &images).unwrap();
     assert_eq!(read(&folder).unwrap(), sample());
     assert_eq!(read_images(&folder).unwrap(), images);
+    let files = encode(&folder, &sample(), &images).unwrap();
+    assert_eq!(decode(&files).unwrap(), (sample(), images));
     assert_eq!(next_folder(home.path()), home.path().join("fits/1"));
     let names: Vec<_> = std::fs::read_dir(home.path().join("fits"))
         .unwrap()
