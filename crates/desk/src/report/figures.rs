@@ -25,8 +25,9 @@ const THIRD_PX: [f64; 2] = [352.0, 256.0];
 const HALF_PX: [f64; 2] = [500.0, 280.0];
 /// Logarithmic scales show at most so many powers of ten below the largest value.
 const MOST_DECADES: f64 = 4.0;
-/// The same of the table's maps.
-const MAP_DECADES: f64 = 6.0;
+/// Part of a map that its scale holds; what is brighter has the colour of its end, so that a
+/// narrow peak does not leave all else dark.
+const MAP_SHOWN: f64 = 0.95;
 
 fn log(value: f64) -> f64 {
     value.max(SMALLEST).log10()
@@ -208,19 +209,21 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
             (0..3).map(|c| (cell.upper[c] - cell.lower[c]) / 2.0 / cell.value[c].max(SMALLEST));
         (relative.sum::<f64>() / 3.0).max(1e-9).log10()
     };
+    let cell_at = |x: usize, y: usize| {
+        let across = (x as f64 + 0.5) / SIDE_PX as f64;
+        let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
+        let cell = table.nearest(90.0 * across * across, theta_d_deg);
+        cell.filter(|cell| cell.constrained)
+    };
     let picture = |scale: &std::ops::Range<f64>, of: &dyn Fn(&Interval) -> f64| {
-        Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| {
-            let across = (x as f64 + 0.5) / SIDE_PX as f64;
-            let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
-            match table.nearest(90.0 * across * across, theta_d_deg) {
-                Some(cell) if cell.constrained => {
-                    let part = (of(cell) - scale.start) / (scale.end - scale.start);
-                    let [r, g, b] = sequential(part as f32);
-                    [r, g, b, 255]
-                }
-                _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
-                _ => [196, 196, 196, 255],
+        Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| match cell_at(x, y) {
+            Some(cell) => {
+                let part = (of(cell) - scale.start) / (scale.end - scale.start);
+                let [r, g, b] = sequential(part as f32);
+                [r, g, b, 255]
             }
+            _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
+            _ => [196, 196, 196, 255],
         })
     };
     // The map with its axes.
@@ -243,15 +246,19 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
         };
         heat_maps("table", &maps).inline(title)
     };
-    // The maps' scales end at the values themselves, to use all colours.
+    // The maps' scales end at the values that they show, to use all colours.
     let exact = |of: &dyn Fn(&Interval) -> f64| {
-        let values = || table.cells.iter().filter(|cell| cell.constrained).map(of);
-        let high = values().fold(f64::MIN, f64::max);
-        let low = values().fold(f64::MAX, f64::min).max(high - MAP_DECADES);
-        if low > high {
-            -1.0..0.0
-        } else {
-            low.min(high - 0.3) - 0.05..high + 0.05
+        let places =
+            (0..SIDE_PX * SIDE_PX).filter_map(|pixel| cell_at(pixel % SIDE_PX, pixel / SIDE_PX));
+        let mut shown: Vec<f64> = places.map(of).collect();
+        shown.sort_by(f64::total_cmp);
+        let at = |part: f64| {
+            let last = shown.len().checked_sub(1)?;
+            shown.get((part * last as f64) as usize).copied()
+        };
+        match (at(1.0 - MAP_SHOWN), at(MAP_SHOWN)) {
+            (Some(low), Some(high)) => low.min(high - 0.3) - 0.05..high + 0.05,
+            _ => -1.0..0.0,
         }
     };
     Ok(Some([
