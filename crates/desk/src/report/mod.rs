@@ -11,6 +11,7 @@ mod captured;
 pub mod certificate;
 pub mod figures;
 pub mod load;
+mod map_scale;
 pub mod sensor_page;
 mod summary;
 mod template;
