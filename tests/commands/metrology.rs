@@ -465,7 +465,13 @@ fn a_simulated_certificate_says_so_on_both_pages() {
         "--out",
         "c.html",
     ];
-    assert!(rig(home.path(), &arguments).status.success());
+    let done = rig(home.path(), &arguments);
+    assert!(done.status.success());
+    let said = stderr(&done);
+    assert!(
+        said.contains("contact, room_humidity_percent; state them in [lab]"),
+        "{said}"
+    );
     let html = std::fs::read_to_string(home.path().join("c.html")).unwrap();
     assert_eq!(html.matches("SIMULATED – NOT A MEASUREMENT").count(), 2);
     // What is not known is said, and never 0.

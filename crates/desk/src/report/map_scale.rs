@@ -31,18 +31,21 @@ impl MapScale {
         0.5 * (part.clamp(0.0, 1.0) + below as f64 / self.shown.len() as f64)
     }
 
-    /// The scale, with values of 1, 2 and 5 times powers of ten.
+    /// The scale, with values of 1, 2 and 5 times powers of ten, and others where there is room.
     pub fn axis(&self, label: &str) -> Axis {
         let ends = self.shown.first().zip(self.shown.last());
         let (low, high) = ends.map_or((0.0, 0.0), |(low, high)| (*low, *high));
         let mut ticks: Vec<(f64, String)> = Vec::new();
-        for power in low.floor() as i32..=high.ceil() as i32 {
-            for digit in [1.0, 2.0, 5.0] {
-                let log_value = f64::log10(digit) + f64::from(power);
-                let place = self.place(log_value);
-                let last = ticks.last().map_or(-1.0, |(place, _)| *place);
-                if (low..=high).contains(&log_value) && place - last >= LEAST_APART {
-                    ticks.push((place, number(digit, power)));
+        for digits in [[1.0, 2.0, 5.0], [3.0, 4.0, 7.0]] {
+            for power in low.floor() as i32..=high.ceil() as i32 {
+                for digit in digits {
+                    let log_value = f64::log10(digit) + f64::from(power);
+                    let place = self.place(log_value);
+                    let has_room =
+                        |(other, _): &(f64, String)| (place - other).abs() >= LEAST_APART;
+                    if (low..=high).contains(&log_value) && ticks.iter().all(has_room) {
+                        ticks.push((place, number(digit, power)));
+                    }
                 }
             }
         }
