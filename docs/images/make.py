@@ -88,7 +88,7 @@ def main():
     report = Image.open(work / "report.png").convert("RGB")
     # Where the parts stand is read from the page by eye: look at them when the report changes.
     save(report.crop((0, 20, 900, 540)), "report.png")
-    save(report.crop((0, 700, 900, 1165)), "spheres.png", 256)
+    save(report.crop((0, 670, 900, 1125)), "spheres.png", 256)
     save(report.crop((0, 2225, 900, 2655)), "residuals.png", 256)
     save(report.crop((0, 4550, 900, 4795)), "slices.png", 256)
 
@@ -121,7 +121,7 @@ def main():
     # A measured material as OpenPBR holds it.
     run("brdf", "convert", "nbrdf:red-plastic", "--out", "red.mtlx")
     as_openpbr = Image.open(work / "red.mtlx.png")
-    save(as_openpbr.resize((552, as_openpbr.height * 552 // as_openpbr.width), Image.Resampling.LANCZOS), "as-openpbr.png", 200)
+    save(as_openpbr.resize((736, as_openpbr.height * 736 // as_openpbr.width), Image.Resampling.LANCZOS), "as-openpbr.png", 200)
 
     # Figures of experiments.
     for experiment in ("atoms", "table-visits", "shape-construction"):

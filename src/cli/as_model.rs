@@ -8,6 +8,15 @@ use super::{CliError, Context};
 use crate::export::{self, ExportError, Exported, LARGEST_ERROR, ModelFormat, Subject};
 use crate::session::fit_record;
 
+/// Makes a file, which may take some seconds, and says so at a terminal meanwhile.
+pub fn waiting<T>(file: &Path, context: &Context, work: impl FnOnce() -> T) -> T {
+    let spinner = context.spinner();
+    spinner.set_message(format!("making {}", file.display()));
+    let done = work();
+    spinner.finish_and_clear();
+    done
+}
+
 /// Prints the files of an export, and what was lost.
 pub fn show(exported: &Exported, context: &Context) -> Result<(), CliError> {
     if let Some(model) = &exported.model {
@@ -37,7 +46,10 @@ pub fn convert(
 ) -> Result<(), CliError> {
     let exported = if Path::new(spec).is_dir() {
         // A fit: the file says where it comes from.
-        export::export(&fit_record::find(Path::new(spec))?, &format.format(), out)
+        let record = fit_record::find(Path::new(spec))?;
+        waiting(out, context, || {
+            export::export(&record, &format.format(), out)
+        })
     } else {
         let brdf = load(spec)?;
         let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
@@ -45,9 +57,10 @@ pub fn convert(
             brdf: brdf.as_ref(),
             description: &description,
             simulated: false,
+            name: None,
             out,
         };
-        subject.export(format)
+        waiting(out, context, || subject.export(format))
     };
     let exported = exported.map_err(|error| match error {
         ExportError::Io { path, source } => unwritable(&path, &source),

@@ -85,6 +85,7 @@ struct ShownArgs {
 #[derive(clap::ValueEnum, Clone, Copy, Debug)]
 enum FailOn {
     Reservations,
+    #[value(alias = "untrusted")]
     NotToBeTrusted,
 }
 

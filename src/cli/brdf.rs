@@ -13,17 +13,19 @@ use spec::{advise, load};
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
-use crate::brdf::{Dictionary, score};
+use crate::brdf::{Dictionary, nbrdf, score};
 use crate::export::{self, ExportError, ModelFormat, TableFormat};
 use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
 use crate::out;
 use crate::whole_file;
 
-const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
+const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material, see `rig brdf list`), \
 FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is rig65, rig26, paper42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 const EXAMPLES: &str = "Examples:
+  rig brdf list                                              the embedded measured materials
+  rig brdf eval nbrdf:red-plastic --at 30,30,180             f of one, light and viewer at 30°, opposite
   rig brdf convert gold.binary --out gold.bsdf               MERL to RGL, for Mitsuba and pbrt
   rig brdf convert gold.bsdf --out gold.binary               RGL to MERL
   rig brdf compare SESSION nbrdf:red-plastic                 how far a fit is from a material
@@ -39,7 +41,7 @@ const CONVERT_HELP: &str = "Examples:
 Either way the values at the file's nodes are exact; between them they are interpolated. What a \
 conversion loses stands in docs/recipes.md, and `rig brdf compare NEW OLD` measures it.";
 
-/// Evaluates, checks, compares, draws and converts BRDFs
+/// Lists, evaluates, checks, compares, draws and converts BRDFs
 #[derive(Args, Debug)]
 #[command(after_help = format!("{EXAMPLES}\n\n{SPEC_HELP}"))]
 pub struct BrdfArgs {
@@ -49,15 +51,32 @@ pub struct BrdfArgs {
 
 #[derive(Subcommand, Debug)]
 enum BrdfCommand {
+    /// Lists the embedded measured materials, one a line
+    List {
+        /// JSON instead of lines
+        #[arg(long)]
+        json: bool,
+    },
     /// Prints f in 1/sr (cosine excluded) at given angles, as CSV
     #[command(after_help = SPEC_HELP)]
     Eval {
         /// The BRDF
-        #[arg(long)]
-        brdf: String,
+        #[arg(value_name = "BRDF", required_unless_present = "named")]
+        brdf: Option<String>,
+        /// The same
+        #[arg(long = "brdf", hide = true, conflicts_with = "brdf")]
+        named: Option<String>,
+        /// Polar angles of light and viewer (0 to 90) and the azimuth between them, degrees:
+        /// 30,30,180 is the mirror direction. Repeat it for more
+        #[arg(
+            long,
+            value_name = "THETA_I,THETA_O,PHI",
+            required_unless_present = "angles"
+        )]
+        at: Vec<Angles>,
         /// CSV with columns theta_i_deg, theta_o_deg (0 to 90) and phi_deg (between the two azimuths)
-        #[arg(long, value_name = "FILE.csv")]
-        angles: PathBuf,
+        #[arg(long, value_name = "FILE.csv", conflicts_with = "at")]
+        angles: Option<PathBuf>,
         /// JSON instead of a table
         #[arg(long)]
         json: bool,
@@ -113,7 +132,22 @@ fn sphere_size(text: &str) -> Result<usize, String> {
 /// Runs `rig brdf`.
 pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
     match &args.command {
-        BrdfCommand::Eval { brdf, angles, json } => eval(brdf, angles, *json),
+        BrdfCommand::List { json } => list(*json),
+        BrdfCommand::Eval {
+            brdf,
+            named,
+            at,
+            angles,
+            json,
+        } => {
+            let spec = brdf.as_ref().or(named.as_ref());
+            eval(
+                spec.map_or("", String::as_str),
+                at,
+                angles.as_deref(),
+                *json,
+            )
+        }
         BrdfCommand::Check { brdf, json } => run_check(brdf, *json),
         BrdfCommand::Project {
             brdf,
@@ -131,9 +165,20 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
     }
 }
 
-fn eval(spec: &str, angles: &Path, json: bool) -> Result<(), CliError> {
+fn list(json: bool) -> Result<(), CliError> {
+    let names: Vec<String> = nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).into();
+    if json {
+        return write_json(&names);
+    }
+    names.iter().try_for_each(|name| out!("{name}"))
+}
+
+fn eval(spec: &str, at: &[Angles], file: Option<&Path>, json: bool) -> Result<(), CliError> {
     let brdf = load(spec)?;
-    let angles = material::read_angles(angles).map_err(advise)?;
+    let angles = match file {
+        Some(file) => material::read_angles(file).map_err(advise)?,
+        None => at.to_vec(),
+    };
     let rows = material::evaluate(brdf.as_ref(), angles);
     if json {
         return write_json(&rows);

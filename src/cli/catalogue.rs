@@ -7,13 +7,14 @@ use serde::Serialize;
 use super::context::Context;
 use super::error::{CliError, HintExt};
 use super::hints;
-use super::output::write_json;
+use super::output::{write_bytes, write_json};
 use super::table::{Table, percent, size};
 use crate::catalogue::repeats::{LeftOut, Repeats};
 use crate::catalogue::reproducibility::{Reproducibility, ReproducibilityError};
 use crate::catalogue::{Catalogue, FitRow, Row};
-use crate::fault::Advisor;
+use crate::fault::{Advisor, Fault};
 use crate::out;
+use crate::result_table;
 use crate::session::fit_record::Verdict;
 use crate::session::layout::SESSIONS_FOLDER;
 use crate::shown::{LINE, shortened};
@@ -39,6 +40,9 @@ pub struct CatalogueArgs {
     /// The list as JSON
     #[arg(long)]
     json: bool,
+    /// The list as CSV, for spreadsheets: a row for each session with its latest fit
+    #[arg(long, conflicts_with_all = ["json", "repeats"])]
+    csv: bool,
 }
 
 /// `rig catalogue`.
@@ -60,6 +64,10 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
         let rows: Vec<_> = rows.iter().map(|row| &**row).collect();
         return write_json(&rows);
     }
+    if args.csv {
+        let rows = rows.iter().map(|row| csv_row(row)).collect();
+        return write_bytes(result_table::Table { rows }.to_csv().as_bytes());
+    }
     if rows.is_empty() {
         let found = match args.search.trim() {
             "" => "no sessions".to_owned(),
@@ -69,8 +77,8 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
         return Ok(());
     }
     let headings = [
-        "session", "sample", "material", "began", " lights", "verdict", " χ²", " error", " size",
-        "marks",
+        "session", "sample", "material", "truth", "began", " lights", "verdict", " χ²", " error",
+        " size", "marks",
     ];
     let mut table = Table::new(&headings);
     let (readable, unreadable): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.error.is_none());
@@ -85,8 +93,46 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
     Ok(())
 }
 
+/// A session's row in a file; the figures are those of its latest fit.
+fn csv_row(row: &Row) -> result_table::Row {
+    let text = |text: &Option<String>| text.clone().unwrap_or_default();
+    let yes = |is| if is { "yes" } else { "no" };
+    let fit = row.latest();
+    let fault = |fault: &Option<Fault>| fault.as_ref().map(|fault| fault.error.clone());
+    let fit_fault = fit.and_then(|fit| fault(&fit.error));
+    result_table::Row::new()
+        .with("session", row.name.as_str())
+        .with("sample", text(&row.sample))
+        .with("material", text(&row.material))
+        .with("true_material", text(&row.true_material))
+        .with("comment", text(&row.comment))
+        .with("began_utc", text(&row.began))
+        .with("lights", row.lights)
+        .with("lights_finished", row.lights_finished)
+        .with("frames", row.frames)
+        .with("bytes", row.bytes)
+        .with("complete", yes(row.complete))
+        .with("simulated", yes(row.simulated))
+        .with("suspect", yes(row.suspect))
+        .with("fit", fit.map_or("", |fit| &fit.name))
+        .with(
+            "dictionary",
+            fit.map_or(String::new(), |fit| text(&fit.dictionary)),
+        )
+        .with(
+            "verdict",
+            fit.and_then(|fit| fit.verdict).map_or("", Verdict::name),
+        )
+        .with("worst_chi2", fit.and_then(|fit| fit.chi2))
+        .with(
+            "environment_error",
+            fit.and_then(|fit| fit.environment_error),
+        )
+        .with("error", fault(&row.error).or(fit_fault).unwrap_or_default())
+}
+
 /// A session's line; the figures are those of its latest fit.
-fn cells(row: &Row) -> [String; 10] {
+fn cells(row: &Row) -> [String; 11] {
     let fit = row.latest();
     let mut marks = Vec::new();
     for (is, mark) in [
@@ -106,6 +152,7 @@ fn cells(row: &Row) -> [String; 10] {
         row.name.clone(),
         row.sample.clone().unwrap_or_default(),
         row.material.clone().unwrap_or_default(),
+        row.true_material.clone().unwrap_or_default(),
         row.began.as_deref().map(minute).unwrap_or_default(),
         lights,
         verdict(fit).to_owned(),

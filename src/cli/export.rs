@@ -7,7 +7,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use super::{CliError, Context, as_model, output};
 use crate::export::{self, ExportError, FORMATS, Format};
 use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
-use crate::session::layout::FITS_FOLDER;
+use crate::session::layout::{FITS_FOLDER, is_sample_name};
 use crate::workflow::{StatedResult, StatedResultError};
 
 /// Writes a fitted BRDF for other programs.
@@ -22,9 +22,14 @@ pub struct ExportArgs {
     /// What to write
     #[arg(long, value_parser = formats())]
     format: Format,
-    /// The file to write; `brdf` with the format's usual ending if not given
+    /// The file to write; if not given the sample's name with the format's usual ending, of a
+    /// fit outside a session `brdf`
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Of openpbr, blender and gltf: what the material is called; the sample's name if not given,
+    /// of a fit outside a session the file's
+    #[arg(long)]
+    name: Option<String>,
 }
 
 /// The names of the formats, with what they write.
@@ -41,18 +46,22 @@ const LATEST_FIT: &str = "leave --fit out to take the latest";
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let format = args.format;
-    let usual = || {
-        let plain = format.needs_no_session();
-        let stem = if plain { "brdf" } else { format.name };
-        PathBuf::from(stem).with_extension(format.ending)
-    };
-    let path = args.out.clone().unwrap_or_else(usual);
-    output::check_ending(&path, format.ending)?;
+    let usual = |stem: &str| PathBuf::from(format!("{stem}.{}", format.ending));
+    let to = |stem: &str| args.out.clone().unwrap_or_else(|| usual(stem));
+    if let Some(out) = &args.out {
+        output::check_ending(out, format.ending)?;
+    }
+    let path;
     let exported = if format.needs_no_session() {
-        let record = record(args)?;
+        let (record, sample) = record(args)?;
+        path = to(sample.as_deref().unwrap_or("brdf"));
         warn_of(&record, context);
-        export::export(&record, &format, &path)
+        let name = args.name.as_ref().or(sample.as_ref());
+        as_model::waiting(&path, context, || {
+            export::export_as(&record, name.map(String::as_str), &format, &path)
+        })
     } else {
+        path = to(format.name);
         let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
         warn_of(&result.record, context);
         let lacking = result.config.lab.missing();
@@ -63,7 +72,9 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
                 lacking.join(", ")
             ));
         }
-        export::export_session(&result, &format, &path)
+        as_model::waiting(&path, context, || {
+            export::export_session(&result, &format, &path)
+        })
     };
     let exported = exported.map_err(|error| match error {
         ExportError::Io { path, source } => output::unwritable(&path, &source),
@@ -72,13 +83,21 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     as_model::show(&exported, context)
 }
 
-/// The fit that is asked for.
-fn record(args: &ExportArgs) -> Result<FitRecord, CliError> {
+/// The fit that is asked for, and the name of its sample where it belongs to a session.
+fn record(args: &ExportArgs) -> Result<(FitRecord, Option<String>), CliError> {
     let dir = match args.fit {
         Some(number) => &args.dir.join(FITS_FOLDER).join(number.to_string()),
         None => &args.dir,
     };
-    fit_record::find(dir).map_err(|error| match (args.fit, &error) {
+    let found = || match fit_record::find_in_session(dir)? {
+        Some((session, number)) => {
+            let sample = Some(session.record().sample.clone());
+            let record = fit_record::read_in(&session, number)?;
+            Ok::<_, FitRecordError>((record, sample.filter(|name| is_sample_name(name))))
+        }
+        None => Ok((fit_record::read(dir)?, None)),
+    };
+    found().map_err(|error| match (args.fit, &error) {
         (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
         _ => error.into(),
     })

@@ -9,6 +9,7 @@ use crate::report::certificate::{self, CertificateError, CertificateRequest};
 use crate::report::load::{FitChoice, LoadError};
 use crate::report::{self, ReportError, ReportRequest};
 use crate::whole_file;
+use crate::workflow::StatedResult;
 
 /// Writes a session's report: one HTML file that needs no other, or a certificate.
 #[derive(clap::Args, Debug)]
@@ -112,6 +113,7 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         repeats: args.repeats.clone(),
     };
     let html = certificate::certificate(&request).map_err(refused)?;
+    note_of_lab(&request, context);
     let bytes = match &browser {
         Some(browser) => browser
             .print(&html, Some(super::open::keeper()?))
@@ -124,6 +126,30 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         context.note("print it from a browser (Ctrl-P, A4, without headers and footers)");
     }
     write_path(&path)
+}
+
+/// What the certificate says is not stated, and where it would be.
+fn note_of_lab(request: &CertificateRequest, context: &Context) {
+    let Ok(StatedResult { config, .. }) = StatedResult::load(&request.session, request.fit) else {
+        return;
+    };
+    let lab = config.lab;
+    let lacking = [
+        ("organisation", lab.organisation.is_none()),
+        ("laboratory", lab.laboratory.is_none()),
+        ("operator", lab.operator.is_none()),
+        ("contact", lab.contact.is_none()),
+        ("room_temperature_c", lab.room_temperature_c.is_none()),
+        ("room_humidity_percent", lab.room_humidity_percent.is_none()),
+    ];
+    let lacking = lacking.iter().filter(|(_, lacks)| *lacks);
+    let lacking: Vec<&str> = lacking.map(|(key, _)| *key).collect();
+    if !lacking.is_empty() {
+        context.note(format!(
+            "\"not stated\" in the certificate: {}; state them in [lab] of the rig file before the capture",
+            lacking.join(", ")
+        ));
+    }
 }
 
 fn refused(error: CertificateError) -> CliError {

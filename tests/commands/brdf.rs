@@ -51,6 +51,35 @@ fn values_at_angles() {
 }
 
 #[test]
+fn materials_are_listed_and_evaluated_at_an_angle() {
+    let here = Path::new(".");
+    let (code, list, _) = rig(here, &["list"]);
+    assert_eq!((code, list.lines().count()), (0, 26));
+    let (_, json, _) = rig(here, &["list", "--json"]);
+    let names: Vec<String> = serde_json::from_str(&json).unwrap();
+    assert!(names.iter().map(String::as_str).eq(list.lines()));
+
+    let name = list.lines().last().unwrap();
+    let (code, out, err) = rig(
+        here,
+        &["eval", name, "--at", "30,30,180", "--at", "0,45,-90"],
+    );
+    assert_eq!((code, out.lines().count()), (0, 3), "{err}");
+    assert!(
+        out.contains("\n30,30,180,") && out.contains("\n0,45,-90,"),
+        "{out}"
+    );
+    for (at, said) in [
+        ("30,30", "three angles in degrees are needed"),
+        ("30,95,0", "polar angle 95, allowed is 0 to 90"),
+        ("30,x,0", "is no number"),
+    ] {
+        let (code, _, err) = rig(here, &["eval", name, "--at", at]);
+        assert!(code != 0 && err.contains(said), "{err}");
+    }
+}
+
+#[test]
 fn a_converted_material_is_the_material() {
     let folder = tempfile::tempdir().unwrap();
     let (code, out, err) = rig(

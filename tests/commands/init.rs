@@ -408,6 +408,19 @@ fn a_session_at_a_terminal() {
         terminal.answer(title, "");
     }
     terminal.answer("Wait with the lamp on", "600");
+    terminal.answer("Will you state results", "yes");
+    for (title, line) in [
+        ("Company", "Institute of Optics"),
+        ("Laboratory", "Attic"),
+        ("Who works", "A. Miller"),
+        ("Whom to ask", "B. Jones"),
+        ("Temperature of the room", "22.5"),
+        ("Relative humidity", "45"),
+    ] {
+        terminal.wait_for(title);
+        terminal.wait_for(") ");
+        terminal.enter(line);
+    }
     terminal.wait_for("\r\nNext, in this order");
     terminal.wait_for("\r\n  1. rig doctor\r\n     ");
     terminal.wait_for("rig calibrate sensor");
@@ -417,6 +430,8 @@ fn a_session_at_a_terminal() {
     assert_eq!(written.name, "attic");
     assert_eq!(written.stage.driver_name(), "manual");
     assert_eq!(written.capture.lamp_warm_up.0, 600.0);
+    assert_eq!(written.lab.laboratory.as_deref(), Some("Attic"));
+    assert_eq!(written.lab.room_temperature_c, Some(22.5));
     assert_eq!(written.geometry.camera_body, None);
 }
 

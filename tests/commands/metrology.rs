@@ -320,15 +320,15 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
     assert_eq!(contributions.len(), 6);
     for (n, &(shown_total, total)) in combined.iter().enumerate() {
         assert!(
-            (shown_total / (100.0 * total) - 1.0).abs() < 5e-3,
-            "three digits"
+            (shown_total / (100.0 * total) - 1.0).abs() < 5e-2,
+            "two digits"
         );
         let column = || contributions.iter().skip(n).step_by(2);
         let squares: f64 = column().map(|c| c.1 * c.1).sum();
         assert!((squares.sqrt() / total - 1.0).abs() < 1e-12);
         // Also the printed ones, within their rounding.
         let printed: f64 = column().map(|c| c.0 * c.0).sum();
-        assert!((printed.sqrt() / shown_total - 1.0).abs() < 1e-2);
+        assert!((printed.sqrt() / shown_total - 1.0).abs() < 6e-2);
     }
 
     // What a reader must find.
@@ -404,9 +404,60 @@ fn scatter_between_sessions_enters_a_certificate() {
 }
 
 #[test]
+fn an_export_is_called_after_its_sample() {
+    let home = tempfile::tempdir().unwrap();
+    let root = session(home.path(), &fit(false), LAB, true);
+    let export = |more: &[&str]| {
+        let done = rig(
+            home.path(),
+            &[&["export", root.to_str().unwrap()], more].concat(),
+        );
+        assert!(done.status.success(), "{}", stderr(&done));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    assert_eq!(export(&["--format", "json"]), "red-plastic.json\n");
+    let made = export(&["--format", "blender", "--out", "a.py"]);
+    assert_eq!(made, "a.py\na.py.png\n");
+    let name = |file: &str| {
+        let script = std::fs::read_to_string(home.path().join(file)).unwrap();
+        let line = script.lines().find_map(|line| line.strip_prefix("NAME = "));
+        line.unwrap().to_owned()
+    };
+    assert_eq!(name("a.py"), "\"red-plastic\"");
+    export(&["--format", "blender", "--name", "wall paint"]);
+    assert_eq!(name("red-plastic.py"), "\"wall paint\"");
+}
+
+#[test]
+fn the_catalogue_is_a_table_for_spreadsheets() {
+    let home = tempfile::tempdir().unwrap();
+    session(home.path(), &fit(false), LAB, true);
+    let done = rig(home.path(), &["catalogue", ".", "--csv"]);
+    assert!(done.status.success(), "{}", stderr(&done));
+    let table = String::from_utf8(done.stdout).unwrap();
+    let [names, row] = table.lines().collect::<Vec<_>>()[..] else {
+        panic!("{table}");
+    };
+    assert!(names.starts_with("session,sample,material,true_material,comment,began_utc,"));
+    assert!(
+        row.contains(",red-plastic,\"red paint, batch 12\",,,2026-11-21T"),
+        "{row}"
+    );
+    assert!(
+        row.ends_with(",yes,no,no,0,paper42,explains,1.0,,"),
+        "{row}"
+    );
+}
+
+#[test]
 fn a_simulated_certificate_says_so_on_both_pages() {
     let home = tempfile::tempdir().unwrap();
-    let root = session(home.path(), &fit(true), "", true);
+    let mut record = fit(true);
+    for row in &mut record.budget.as_mut().unwrap().row {
+        row.share = vec![0.3, 0.0, 0.7];
+    }
+    let lab = "[lab]\nroom_temperature_c = 22.5\n";
+    let root = session(home.path(), &record, lab, true);
     let arguments = [
         "report",
         root.to_str().unwrap(),
@@ -414,10 +465,30 @@ fn a_simulated_certificate_says_so_on_both_pages() {
         "--out",
         "c.html",
     ];
-    assert!(rig(home.path(), &arguments).status.success());
+    let done = rig(home.path(), &arguments);
+    assert!(done.status.success());
+    let said = stderr(&done);
+    assert!(
+        said.contains("contact, room_humidity_percent; state them in [lab]"),
+        "{said}"
+    );
     let html = std::fs::read_to_string(home.path().join("c.html")).unwrap();
     assert_eq!(html.matches("SIMULATED – NOT A MEASUREMENT").count(), 2);
-    assert!(html.contains("not stated"));
+    // What is not known is said, and never 0.
+    for said in [
+        "not stated",
+        "temperature 22.5 °C, relative humidity not stated",
+        "<td>pose</td><td class=\"text\">B</td><td>1</td><td class=\"none\" colspan=\"2\">not evaluated</td>",
+        "took it as exactly known: pose. An error of it is not in U; the bench was taken as exact.",
+    ] {
+        assert!(html.contains(said), "{said}");
+    }
+    assert!(!html.contains(">0<"));
+    // Result and budget are of the same angles.
+    for angles in [["0°", "15°"], ["40°", "45°"]] {
+        let row = format!("<td>{}</td><td>{}</td>", angles[0], angles[1]);
+        assert!(html.contains(&row) && html.contains(&format!("<th>{}</th>", angles.join(", "))));
+    }
 }
 
 #[test]

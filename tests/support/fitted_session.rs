@@ -160,7 +160,7 @@ fn record(simulated: bool, lab: &str) -> SessionRecord {
     let rig = rig.replace("\n[lab]\n", "\n");
     SessionRecord {
         sample: "red-plastic".to_owned(),
-        material: None,
+        material: Some("red paint, batch 12".to_owned()),
         comment: None,
         created_utc: "2026-11-21T02:34:00Z".to_owned(),
         simulated,

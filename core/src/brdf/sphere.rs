@@ -24,6 +24,22 @@ pub const PER_TECHNIQUE: u32 = 40;
 /// Directions per pixel drawn from the map.
 pub const FROM_MAP: u32 = 64;
 
+/// The matte grey of photographers' cards, next to which a material is shown: it tells the
+/// exposure.
+#[derive(Clone, Copy, Debug)]
+pub struct GreyCard;
+
+impl GreyCard {
+    /// Its albedo.
+    pub const REFLECTANCE: f32 = 0.18;
+}
+
+impl Brdf for GreyCard {
+    fn eval(&self, _: glam::Vec3, _: glam::Vec3) -> [f32; 3] {
+        [Self::REFLECTANCE / std::f32::consts::PI; 3]
+    }
+}
+
 /// Radiance of a sphere over a square image, row 0 at the top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SphereImage {
@@ -43,6 +59,13 @@ impl SphereImage {
         values.sort_by(f32::total_cmp);
         let bright = values.get(values.len() * 97 / 100).copied().unwrap_or(1.0);
         if bright > 0.0 { 1.0 / bright } else { 1.0 }
+    }
+
+    /// Of the sphere of a [`GreyCard`]: the exposure under its map that shows it as that grey
+    /// where it is brightest, so that a white one is just not too bright. It is the same for
+    /// every material, and so a dark one looks dark.
+    pub fn neutral_exposure(&self) -> f32 {
+        GreyCard::REFLECTANCE * self.natural_exposure()
     }
 
     /// 8-bit sRGB for looking at, `exposure` × radiance 1 is white; outside the sphere white.

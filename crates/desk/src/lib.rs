@@ -6,7 +6,7 @@
 #[cfg(feature = "figures")]
 use rig_bench::plot;
 #[cfg(feature = "reports")]
-use rig_bench::{calibration, catalogue, fault, queue};
+use rig_bench::{calibration, catalogue, config, fault, queue};
 use rig_bench::{checksum, session, shell_words, workflow};
 use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
 #[cfg(feature = "reports")]

@@ -17,8 +17,10 @@ pub struct Row<F = FitRow> {
     pub name: String,
     /// The sample's name.
     pub sample: Option<String>,
-    /// What the operator has noted of the material, else the true one of a simulated sample.
+    /// What the operator has noted of the material.
     pub material: Option<String>,
+    /// The material that a simulated sample is made of.
+    pub true_material: Option<String>,
     /// What the operator has noted otherwise.
     pub comment: Option<String>,
     /// When the capture began, RFC 3339, UTC; by the folder's name where nothing else is
@@ -162,12 +164,14 @@ impl Row {
         Self::of(&session, name, fits.into_iter().map(fit).collect())
     }
 
-    /// Whether each word of a search is part of name, sample, material or comment, in any case.
+    /// Whether each word of a search is part of name, sample, material (noted or true) or
+    /// comment, in any case.
     pub fn matches(&self, search: &str) -> bool {
         let texts = [
             Some(&self.name),
             self.sample.as_ref(),
             self.material.as_ref(),
+            self.true_material.as_ref(),
             self.comment.as_ref(),
         ];
         let texts: Vec<String> = texts
@@ -194,9 +198,8 @@ impl<F> Row<F> {
         Self {
             name: name.to_owned(),
             sample: Some(summary.sample),
-            material: (record.material.as_ref())
-                .or(record.true_material.as_ref())
-                .cloned(),
+            material: record.material.clone(),
+            true_material: record.true_material.clone(),
             comment: record.comment.clone(),
             began: Some(summary.created_utc),
             lights: summary.lights_planned,
@@ -218,6 +221,7 @@ impl<F> Row<F> {
             name: name.to_owned(),
             sample: None,
             material: None,
+            true_material: None,
             comment: None,
             began: began_of_name(name),
             lights: 0,

@@ -1,6 +1,8 @@
 //! The `[lab]` table: who measures, and what of the instrument no device tells. Results that
 //! others read state it: the universal BRDF JSON, the certificate.
 
+use std::ops::RangeInclusive;
+
 use super::ConfigError;
 use super::reader::Section;
 
@@ -21,6 +23,10 @@ pub struct LabConfig {
     pub website: Option<String>,
     /// Where it is.
     pub address: Address,
+    /// Temperature of the room during a measurement, °C.
+    pub room_temperature_c: Option<f64>,
+    /// Its relative humidity, %.
+    pub room_humidity_percent: Option<f64>,
     /// What no device tells.
     pub instrument: InstrumentFacts,
 }
@@ -51,9 +57,14 @@ pub struct InstrumentFacts {
     pub lamp_power_w: Option<f64>,
 }
 
-const LINE: &str = "a text of 1 to 200 characters on one line";
+/// Temperatures that a room may have, °C.
+pub(super) const ROOM_TEMPERATURE_C: RangeInclusive<f64> = -40.0..=60.0;
+/// Relative humidities, %.
+pub(super) const ROOM_HUMIDITY_PERCENT: RangeInclusive<f64> = 0.0..=100.0;
 
-fn line(text: &str) -> Option<String> {
+pub(super) const LINE: &str = "a text of 1 to 200 characters on one line";
+
+pub(super) fn line(text: &str) -> Option<String> {
     let text = text.trim();
     let is_line = (1..=200).contains(&text.chars().count()) && !text.contains(char::is_control);
     is_line.then(|| text.to_owned())
@@ -102,6 +113,12 @@ impl LabConfig {
             email: email.optional(),
             website: website.optional(),
             address,
+            room_temperature_c: table
+                .number("room_temperature_c", ROOM_TEMPERATURE_C)?
+                .optional(),
+            room_humidity_percent: table
+                .number("room_humidity_percent", ROOM_HUMIDITY_PERCENT)?
+                .optional(),
             instrument: InstrumentFacts {
                 band_nm: [
                     band(&mut table, "band_r_nm")?,
@@ -195,6 +212,10 @@ mod tests {
             (
                 "lamp_power_w = 0",
                 "`lab.lamp_power_w` is 0, but must be a number from 0.001",
+            ),
+            (
+                "room_humidity_percent = 101",
+                "`lab.room_humidity_percent` is 101, but must be a number from 0 to 100",
             ),
             ("organization = \"x\"", "organization"),
         ] {

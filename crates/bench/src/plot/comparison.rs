@@ -36,7 +36,7 @@ pub fn comparison(name: &str, captured: &RadianceImage, predicted: &RadianceImag
         [captured, predicted].map(|image| averaged_to(&cropped(image, &around), LARGEST_PX));
     let white = white_level(&captured);
     let differences = differences(&captured, &predicted, white);
-    let range = scale_of(&differences);
+    let range = scale_of(differences.iter().flatten().copied());
     let colors = differences.iter().map(|difference| match difference {
         Some(difference) => diverging((difference / range) as f32),
         None => [LEFT_OUT[0], LEFT_OUT[1], LEFT_OUT[2]],
@@ -164,8 +164,8 @@ fn differences(
 }
 
 /// 1, 2 or 5 times a power of ten that nearly all differences stay below; at least 1%.
-fn scale_of(differences: &[Option<f64>]) -> f64 {
-    let mut sizes: Vec<f64> = differences.iter().flatten().map(|d| d.abs()).collect();
+pub fn scale_of(differences: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = differences.map(f64::abs).collect();
     sizes.sort_by(f64::total_cmp);
     let place = (SHOWN_PART * sizes.len().saturating_sub(1) as f64) as usize;
     let held = sizes.get(place).copied().unwrap_or(0.0);
@@ -195,8 +195,8 @@ mod tests {
         let found = differences(&captured, &predicted, white);
         assert_eq!((found[0], found[2]), (Some(0.0), None));
         assert!((found[1].unwrap() - 0.05).abs() < 1e-6, "{found:?}");
-        assert_eq!(scale_of(&[Some(-0.049), None, Some(0.049)]), 0.05);
-        assert_eq!(scale_of(&[]), 0.01);
+        assert_eq!(scale_of([-0.049, 0.049].into_iter()), 0.05);
+        assert_eq!(scale_of(std::iter::empty()), 0.01);
         assert!(comparison("light", &captured, &predicted).png().is_ok());
     }
 }

@@ -20,7 +20,7 @@ pub use axis::Axis;
 pub use bars::{Bar, BarRow, bars};
 pub use canvas::{Figure, NEUTRAL, page_color};
 pub use chart::{Chart, Mark, Series, chart, charts};
-pub use comparison::comparison;
+pub use comparison::{comparison, scale_of};
 pub use heat_map::{HeatMap, HeatMaps, heat_maps};
 pub use picture::{Picture, Tile, pictures, png_data_uri};
 pub use polar::{Lobe, PolarPanel, polar, polars};

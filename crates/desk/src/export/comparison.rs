@@ -1,9 +1,11 @@
 //! The picture next to an exported material: spheres of the material, of the model, and their
-//! difference, under each environment map.
+//! difference, under each environment map, and the grey that tells the exposure.
 
 use super::model::AsModel;
-use crate::brdf::sphere::{SphereImage, normals};
-use crate::plot::{Picture, PlotError, Tile, pictures};
+use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::sphere::{GreyCard, SphereImage, normals, sphere_images};
+use crate::plot::colors::diverging;
+use crate::plot::{Picture, PlotError, Tile, pictures, scale_of};
 
 /// Width of a sphere, CSS pixels.
 const SIDE_PX: f64 = 128.0;
@@ -13,39 +15,58 @@ const SIDE_PX: f64 = 128.0;
 /// # Errors
 /// The figure could not be drawn.
 pub fn to_png(material: &AsModel) -> Result<Vec<u8>, PlotError> {
+    let spheres = &material.loss.spheres;
+    let size = spheres.first().map_or(0, |[_, truth]| truth.size);
+    let greys = sphere_images(&[&GreyCard], &EnvironmentMap::all(), size);
+    let differences: Vec<Vec<f64>> = spheres.iter().map(difference).collect();
+    let range = scale_of(differences.iter().flatten().copied());
+    let percent = 100.0 * range;
     let errors = material.loss.environment.maps.iter();
-    let rows: Vec<(String, Vec<Tile>)> = errors
-        .zip(&material.loss.spheres)
-        .map(|((map, error), [model, truth])| {
-            let exposure = truth.natural_exposure();
-            let tile = |caption: String, picture: Vec<[u8; 3]>| Tile {
-                caption,
-                picture: Picture::opaque(truth.size, picture),
-                inset: None,
-            };
-            let tiles = vec![
-                tile(String::new(), truth.to_srgb(exposure)),
-                tile(
-                    format!("error {:.1}%", 100.0 * error),
-                    model.to_srgb(exposure),
-                ),
-                tile(String::new(), difference(model, truth, exposure)),
-            ];
-            (map.clone(), tiles)
-        })
-        .collect();
-    let columns = ["material", material.format.name(), "model − material"].map(str::to_owned);
+    let rows = errors.zip(spheres).zip(&greys).zip(&differences);
+    let rows = rows.map(|((((map, error), [model, truth]), grey), difference)| {
+        let exposure = grey[0].neutral_exposure();
+        let tile = |caption: String, picture: Vec<[u8; 3]>| Tile {
+            caption,
+            picture: Picture::opaque(size, picture),
+            inset: None,
+        };
+        let error = format!("error {:.1}%", 100.0 * error);
+        let scale = format!("blue −{percent}%, red +{percent}%");
+        let tiles = vec![
+            tile(String::new(), truth.to_srgb(exposure)),
+            tile(error, model.to_srgb(exposure)),
+            tile(scale, colours(difference, range, size)),
+            tile(String::new(), grey[0].to_srgb(exposure)),
+        ];
+        (map.clone(), tiles)
+    });
+    let rows: Vec<(String, Vec<Tile>)> = rows.collect();
+    let model = material.format.name();
+    let columns = ["material", model, "model − material", "18% grey"].map(str::to_owned);
     pictures("comparison", SIDE_PX, &columns, &rows).png()
 }
 
-/// Grey where both are the same, lighter where the model is brighter; white outside.
-fn difference(model: &SphereImage, truth: &SphereImage, exposure: f32) -> Vec<[u8; 3]> {
-    let mut pixels = vec![[255; 3]; truth.radiance.len()];
-    for (pixel, _) in normals(truth.size) {
-        pixels[pixel] = [0, 1, 2].map(|c| {
-            let difference = exposure * (model.radiance[pixel][c] - truth.radiance[pixel][c]);
-            (127.5 + 127.5 * difference).clamp(0.0, 255.0) as u8
-        });
+/// Model less material over the sphere's pixels, the mean of the channels over the material's
+/// root mean square, which the environment error is relative to as well.
+fn difference([model, truth]: &[SphereImage; 2]) -> Vec<f64> {
+    let places = normals(truth.size);
+    let squares = places.iter().flat_map(|(pixel, _)| truth.radiance[*pixel]);
+    let squares: f64 = squares.map(|x| f64::from(x).powi(2)).sum();
+    let rms = (squares / (3 * places.len().max(1)) as f64).sqrt();
+    let at = |pixel: usize| {
+        let sum: f32 = (0..3)
+            .map(|c| model.radiance[pixel][c] - truth.radiance[pixel][c])
+            .sum();
+        f64::from(sum) / 3.0 / rms.max(f64::MIN_POSITIVE)
+    };
+    places.iter().map(|(pixel, _)| at(*pixel)).collect()
+}
+
+/// Of differences over the sphere's pixels; white outside.
+fn colours(differences: &[f64], range: f64, size: usize) -> Vec<[u8; 3]> {
+    let mut pixels = vec![[255; 3]; size * size];
+    for ((pixel, _), difference) in normals(size).into_iter().zip(differences) {
+        pixels[pixel] = diverging((difference / range) as f32);
     }
     pixels
 }

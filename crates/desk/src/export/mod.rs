@@ -25,6 +25,7 @@ mod tensor_file;
 mod text;
 mod warp;
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use above_horizon::AboveHorizon;
@@ -217,6 +218,20 @@ pub struct Exported {
 /// # Errors
 /// An unusable fit, a format that needs the fit's session, or the system's error.
 pub fn export(record: &FitRecord, format: &Format, out: &Path) -> Result<Exported, ExportError> {
+    export_as(record, None, format, out)
+}
+
+/// [`export`] with a name for the material in files of other programs' models; that of the file
+/// if `None`.
+///
+/// # Errors
+/// As there.
+pub fn export_as(
+    record: &FitRecord,
+    name: Option<&str>,
+    format: &Format,
+    out: &Path,
+) -> Result<Exported, ExportError> {
     let files = format.files(out);
     match format.writer {
         Writer::OfFit(write) => write(record, &files)?,
@@ -226,6 +241,7 @@ pub fn export(record: &FitRecord, format: &Format, out: &Path) -> Result<Exporte
                 brdf: &*material,
                 description: &description,
                 simulated: record.simulated,
+                name,
                 out,
             };
             return subject.export(model);
@@ -269,7 +285,9 @@ pub struct Subject<'a> {
     pub description: &'a str,
     /// Whether it was measured on a simulated bench.
     pub simulated: bool,
-    /// The file to write; the material has its name.
+    /// What the material is called; if `None` as the file without its ending.
+    pub name: Option<&'a str>,
+    /// The file to write.
     pub out: &'a Path,
 }
 
@@ -296,16 +314,20 @@ impl Subject<'_> {
         })
     }
 
-    /// The file's name without its ending, for programs that take any text.
+    fn called(&self) -> &OsStr {
+        let of_file = || self.out.file_stem().unwrap_or_default();
+        self.name.map_or_else(of_file, OsStr::new)
+    }
+
+    /// The material's name, for programs that take any text.
     fn name(&self) -> String {
-        let stem = self.out.file_stem().unwrap_or_default().to_string_lossy();
-        shown::escaped(&stem).into_owned()
+        shown::escaped(&self.called().to_string_lossy()).into_owned()
     }
 
     /// The same of letters, digits and underscores; where that is another name, with a mark
-    /// that tells it from those of other files.
+    /// that tells it from others.
     fn identifier(&self) -> String {
-        let stem = self.out.file_stem().unwrap_or_default();
+        let stem = self.called();
         let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
         let mut name: String = stem.to_string_lossy().chars().map(plain).collect();
         if !name.starts_with(|first: char| first.is_ascii_alphabetic()) {

@@ -231,9 +231,17 @@ fn names_of_materials_differ_as_those_of_files() {
             brdf: &brdf,
             description: "",
             simulated: false,
+            name: None,
             out: &out,
         };
         assert_eq!(subject.name(), name);
+        let out = Path::new("brdf.mtlx");
+        let named = Subject {
+            name: Some(name),
+            out,
+            ..subject
+        };
+        assert_eq!(named.identifier(), subject.identifier());
         let identifier = subject.identifier();
         let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_';
         assert!(identifier.chars().all(is_allowed), "{identifier}");

@@ -1,6 +1,7 @@
 //! Values of a BRDF at the angles of a table.
 
 use std::path::Path;
+use std::str::FromStr;
 
 use glam::DVec3;
 use serde::Serialize;
@@ -24,6 +25,23 @@ pub struct Angles {
 }
 
 impl Angles {
+    /// Of polar angles of light and viewer and the azimuth between them, degrees.
+    ///
+    /// # Errors
+    /// A polar angle outside 0..=90.
+    pub fn new([theta_i_deg, theta_o_deg, phi_deg]: [f64; 3]) -> Result<Self, String> {
+        for theta in [theta_i_deg, theta_o_deg] {
+            if !(0.0..=90.0).contains(&theta) {
+                return Err(format!("polar angle {theta}, allowed is 0 to 90"));
+            }
+        }
+        Ok(Self {
+            theta_i_deg,
+            theta_o_deg,
+            phi_deg,
+        })
+    }
+
     fn directions(self) -> (DVec3, DVec3) {
         let direction = |theta_deg: f64, phi_deg: f64| {
             let (sin, cos) = theta_deg.to_radians().sin_cos();
@@ -34,6 +52,20 @@ impl Angles {
             direction(self.theta_i_deg, 0.0),
             direction(self.theta_o_deg, self.phi_deg),
         )
+    }
+}
+
+/// `theta_i,theta_o,phi` in degrees.
+impl FromStr for Angles {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+        let [theta_i, theta_o, phi] = fields[..] else {
+            return Err("three angles in degrees are needed: theta_i,theta_o,phi".to_owned());
+        };
+        let number = |field| outside_table::number(field).map_err(|error| error.to_string());
+        Self::new([number(theta_i)?, number(theta_o)?, number(phi)?])
     }
 }
 
@@ -62,20 +94,7 @@ pub fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
                 *value = outside_table::number(row.field(column))
                     .map_err(|error| format!("line {}: {error}", row.line))?;
             }
-            let [theta_i_deg, theta_o_deg, phi_deg] = values;
-            for theta in [theta_i_deg, theta_o_deg] {
-                if !(0.0..=90.0).contains(&theta) {
-                    return Err(format!(
-                        "line {}: polar angle {theta}, allowed is 0 to 90",
-                        row.line
-                    ));
-                }
-            }
-            Ok(Angles {
-                theta_i_deg,
-                theta_o_deg,
-                phi_deg,
-            })
+            Angles::new(values).map_err(|fact| format!("line {}: {fact}", row.line))
         })
         .collect()
 }

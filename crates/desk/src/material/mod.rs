@@ -22,7 +22,7 @@ pub use named::Named;
 
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::projection::ProjectionError;
-use crate::brdf::sphere::sphere_image;
+use crate::brdf::sphere::{GreyCard, sphere_images};
 use crate::brdf::{Brdf, BrdfError, nbrdf, source};
 use crate::session::fit_record::{self, FitRecordError};
 
@@ -86,13 +86,13 @@ pub fn load(spec: &str) -> Result<Arc<dyn Brdf>, MaterialError> {
 }
 
 /// Spheres of the material under the environment maps side by side, each `size_px` pixels
-/// a side and exposed for itself.
+/// a side and in the exposure that is neutral under its map.
 pub fn spheres(brdf: &dyn Brdf, size_px: usize) -> image::RgbImage {
     let maps = EnvironmentMap::all();
     let mut picture = image::RgbImage::new((size_px * maps.len()) as u32, size_px as u32);
-    for (column, map) in maps.iter().enumerate() {
-        let sphere = sphere_image(brdf, map, size_px);
-        let pixels = sphere.to_srgb(sphere.natural_exposure());
+    let images = sphere_images(&[brdf, &GreyCard], &maps, size_px);
+    for (column, under) in images.iter().enumerate() {
+        let pixels = under[0].to_srgb(under[1].neutral_exposure());
         for (pixel, rgb) in pixels.into_iter().enumerate() {
             let x = (column * size_px + pixel % size_px) as u32;
             picture.put_pixel(x, (pixel / size_px) as u32, image::Rgb(rgb));

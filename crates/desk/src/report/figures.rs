@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::map_scale::MapScale;
 use crate::brdf::Brdf;
 use crate::plot::colors::{diverging, sequential};
 use crate::plot::{
@@ -25,8 +26,6 @@ const THIRD_PX: [f64; 2] = [352.0, 256.0];
 const HALF_PX: [f64; 2] = [500.0, 280.0];
 /// Logarithmic scales show at most so many powers of ten below the largest value.
 const MOST_DECADES: f64 = 4.0;
-/// The same of the table's maps.
-const MAP_DECADES: f64 = 6.0;
 
 fn log(value: f64) -> f64 {
     value.max(SMALLEST).log10()
@@ -208,63 +207,44 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
             (0..3).map(|c| (cell.upper[c] - cell.lower[c]) / 2.0 / cell.value[c].max(SMALLEST));
         (relative.sum::<f64>() / 3.0).max(1e-9).log10()
     };
-    let picture = |scale: &std::ops::Range<f64>, of: &dyn Fn(&Interval) -> f64| {
-        Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| {
-            let across = (x as f64 + 0.5) / SIDE_PX as f64;
-            let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
-            match table.nearest(90.0 * across * across, theta_d_deg) {
-                Some(cell) if cell.constrained => {
-                    let part = (of(cell) - scale.start) / (scale.end - scale.start);
-                    let [r, g, b] = sequential(part as f32);
-                    [r, g, b, 255]
-                }
-                _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
-                _ => [196, 196, 196, 255],
-            }
-        })
+    let cell_at = |x: usize, y: usize| {
+        let across = (x as f64 + 0.5) / SIDE_PX as f64;
+        let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
+        let cell = table.nearest(90.0 * across * across, theta_d_deg);
+        cell.filter(|cell| cell.constrained)
     };
-    // The map with its axes.
-    let map = |title: &str,
-               bar_label: &str,
-               scale: std::ops::Range<f64>,
-               of: &dyn Fn(&Interval) -> f64| {
+    // A map with its axes.
+    let map = |title: &str, label: &str, of: &dyn Fn(&Interval) -> f64| {
+        let places = (0..SIDE_PX).flat_map(|y| (0..SIDE_PX).map(move |x| (x, y)));
+        let scale = MapScale::new(places.filter_map(|(x, y)| cell_at(x, y).map(of)));
+        let picture = Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| match cell_at(x, y) {
+            Some(cell) => {
+                let [r, g, b] = sequential(scale.place(of(cell)) as f32);
+                [r, g, b, 255]
+            }
+            _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
+            _ => [196, 196, 196, 255],
+        });
         let map = HeatMap {
             title: String::new(),
-            picture: picture(&scale, of),
+            picture,
         };
         let maps = HeatMaps {
             columns: 1,
             cell_px: [330.0, 300.0],
             x: Axis::half_angles("half angle θh"),
             y: Axis::with_step(0.0..90.0, 15.0, "difference angle θd / °"),
-            scale: Axis::decades(scale, bar_label),
+            scale: scale.axis(label),
             colors: sequential,
             maps: &[map],
         };
         heat_maps("table", &maps).inline(title)
     };
-    // The maps' scales end at the values themselves, to use all colours.
-    let exact = |of: &dyn Fn(&Interval) -> f64| {
-        let values = || table.cells.iter().filter(|cell| cell.constrained).map(of);
-        let high = values().fold(f64::MIN, f64::max);
-        let low = values().fold(f64::MAX, f64::min).max(high - MAP_DECADES);
-        if low > high {
-            -1.0..0.0
-        } else {
-            low.min(high - 0.3) - 0.05..high + 0.05
-        }
-    };
     Ok(Some([
-        map(
-            "BRDF over half and difference angle",
-            "f / sr⁻¹",
-            exact(&value),
-            &value,
-        )?,
+        map("BRDF over half and difference angle", "f / sr⁻¹", &value)?,
         map(
             "relative half-width of the 95% interval",
             "half-width / f",
-            exact(&width),
             &width,
         )?,
     ]))

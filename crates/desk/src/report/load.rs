@@ -9,7 +9,7 @@ use super::{
     Truth, ValidationInput,
 };
 use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::sphere::{self, SphereImage, sphere_images};
+use crate::brdf::sphere::{self, GreyCard, SphereImage, sphere_images};
 use crate::brdf::{Brdf, BrdfError, source};
 use crate::device::{FrameKind, LampState};
 use crate::radiance_image::RadianceImage;
@@ -312,12 +312,16 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
 
 fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
     let maps = EnvironmentMap::all();
-    let brdfs: Vec<&dyn Brdf> = std::iter::once(estimate).chain(truth).collect();
+    let brdfs: Vec<&dyn Brdf> = [&GreyCard as &dyn Brdf, estimate]
+        .into_iter()
+        .chain(truth)
+        .collect();
     let images = sphere_images(&brdfs, &maps, sphere_px);
     let under = |(map, images): (&EnvironmentMap, &Vec<SphereImage>)| SphereInput {
         map: map.name().to_owned(),
-        estimate: as_radiance(&images[0]),
-        truth: images.get(1).map(as_radiance),
+        grey: as_radiance(&images[0]),
+        estimate: as_radiance(&images[1]),
+        truth: images.get(2).map(as_radiance),
     };
     maps.iter().zip(&images).map(under).collect()
 }

@@ -11,6 +11,7 @@ mod captured;
 pub mod certificate;
 pub mod figures;
 pub mod load;
+mod map_scale;
 pub mod sensor_page;
 mod summary;
 mod template;
@@ -199,6 +200,8 @@ pub struct Truth {
 
 /// A sphere under one environment map; pixels off the sphere are not `valid`.
 pub struct SphereInput {
+    /// A matte ball of [`GreyCard`](crate::brdf::sphere::GreyCard)'s reflectance, which sets the exposure.
+    pub grey: RadianceImage,
     /// The map's name.
     pub map: String,
     /// With the fitted BRDF.

@@ -9,6 +9,7 @@ use super::value::{value, values};
 use super::{
     FitInput, LightInput, ReportError, ReportInput, SphereInput, ValidationInput, figures,
 };
+use crate::brdf::sphere::GreyCard;
 use crate::plot::colors::diverging;
 use crate::plot::radiance as images;
 use crate::plot::{Picture, png_data_uri};
@@ -95,19 +96,21 @@ fn validation_view(validation: &ValidationInput) -> Value {
     }
 }
 
-/// Spheres are shown on the truth's exposure; the difference in per cent of white.
+/// Spheres are shown in the exposure that makes the grey one grey; the difference is in per cent
+/// of the truth's brightest parts.
 fn sphere_view(sphere: &SphereInput) -> Value {
     const DIFFERENCE_RANGE: f32 = 0.2;
-    let white = images::white_level(sphere.truth.as_ref().unwrap_or(&sphere.estimate));
+    let white = images::white_level(&sphere.grey) / GreyCard::REFLECTANCE;
     let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
     let difference = |truth: &RadianceImage| {
+        let brightest = images::white_level(truth);
         let estimate = &sphere.estimate;
         let pixel = |x: usize, y: usize| {
             let at = y * estimate.width + x;
             match (estimate.mean.get(at), truth.mean.get(at)) {
                 (Some(a), Some(b)) if estimate.valid[at] => {
                     let sum: f32 = (0..3).map(|c| a[c] - b[c]).sum();
-                    let [r, g, b] = diverging(sum / 3.0 / white / DIFFERENCE_RANGE);
+                    let [r, g, b] = diverging(sum / 3.0 / brightest / DIFFERENCE_RANGE);
                     [r, g, b, 255]
                 }
                 _ => [0; 4],
@@ -117,6 +120,7 @@ fn sphere_view(sphere: &SphereInput) -> Value {
     };
     context! {
         map => &sphere.map,
+        grey => uri(&sphere.grey),
         estimate => uri(&sphere.estimate),
         truth => value(sphere.truth.as_ref().map(uri)),
         difference => value(sphere.truth.as_ref().map(difference)),

@@ -2,6 +2,7 @@ use glam::Vec3;
 
 use super::*;
 use crate::brdf::discrepancy::Discrepancy;
+use crate::brdf::sphere::GreyCard;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::session::fit_record::{
     AngleTable, BudgetRecord, BudgetRow, ChannelScore, DiscrepancyRecord, FitSettings, Grade,
@@ -225,6 +226,7 @@ pub(super) fn synthetic() -> ReportInput {
         spheres: ["studio", "sunset"]
             .map(|map| SphereInput {
                 map: map.to_owned(),
+                grey: sphere(&GreyCard),
                 estimate: sphere(&estimate),
                 truth: Some(sphere(&truth)),
             })
@@ -323,17 +325,17 @@ fn a_whole_session_has_every_section() {
         assert!(html.contains(exposure), "{exposure}");
     }
     assert!(html.contains("azimuth −30.0°, elevation 85.0°"));
-    // Two lights of five images, two maps of three spheres, two heat maps of two
+    // Two lights of five images, two maps of four spheres, two heat maps of two
     // pictures, the colour bar twice, and a prediction.
     assert_eq!(
         html.matches("data:image/png;base64,").count(),
-        10 + 6 + 4 + 2 + 1
+        10 + 8 + 4 + 2 + 1
     );
     // Polar plots, slices, maps, weights, loss and budget.
     assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1 + 1);
     assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
     let predicted = [
-        "light 0 (derived/radiance_L000.exr) was fitted",
+        "light 0 (derived&#x2f;radiance_L000.exr) was fitted",
         ">11.5%<",
         "95.1%",
     ];
@@ -376,6 +378,8 @@ fn without_a_fit_the_page_says_so() {
 #[test]
 fn a_bad_fit_never_looks_like_a_good_one() {
     let mut bad = synthetic();
+    // Its fit of a part of the lights has a verdict of its own.
+    bad.validation = None;
     let record = &mut bad.fit.as_mut().unwrap().record;
     record.reduced_chi_square[1] = [7.5, 1.0, 1.0];
     let html = page(&bad);

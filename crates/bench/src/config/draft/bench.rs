@@ -36,6 +36,19 @@ pub struct Draft {
     pub lamp: Lamp,
     /// Wait with the lamp on before the first light, s.
     pub warm_up_s: f64,
+    /// Who measures, where certificates are to state it.
+    pub lab: Option<Lab>,
+}
+
+/// Who measures, and in what room.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lab {
+    /// Organisation, laboratory, operator, contact.
+    pub who: [String; 4],
+    /// Temperature of the room, °C.
+    pub room_temperature_c: f64,
+    /// Its relative humidity, %.
+    pub room_humidity_percent: f64,
 }
 
 /// The camera, as rig files name it.
@@ -216,6 +229,7 @@ impl Draft {
             lamp_distance_mm: take.number("lamp_distance_mm")?,
             lamp: take.lamp()?,
             warm_up_s: take.number("warm_up_s")?,
+            lab: take.lab()?,
         })
     }
 }
@@ -339,6 +353,22 @@ impl Take<'_> {
             mechanism,
             limits: [three(first)?, three(second)?],
         })
+    }
+
+    fn lab(&self) -> Result<Option<Lab>, AnswerError> {
+        if !self.0.is_yes("lab") {
+            return Ok(None);
+        }
+        Ok(Some(Lab {
+            who: [
+                self.text("organisation")?,
+                self.text("laboratory")?,
+                self.text("operator")?,
+                self.text("contact")?,
+            ],
+            room_temperature_c: self.number("room_temperature_c")?,
+            room_humidity_percent: self.number("room_humidity_percent")?,
+        }))
     }
 
     fn lamp(&self) -> Result<Lamp, AnswerError> {

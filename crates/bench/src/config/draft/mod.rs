@@ -16,7 +16,7 @@ mod text;
 use std::path::Path;
 
 pub use answer::{Answer, AnswerError, Answers};
-pub use bench::{Axes, Camera, Draft, Lamp, Lens, Sample, Stage};
+pub use bench::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 pub use found::Found;
 pub use next::Step;
 pub use question::{Choice, Kind, Question, When};

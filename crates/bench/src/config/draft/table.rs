@@ -1,11 +1,13 @@
 //! The questions, in the order in which they are asked.
 
 use std::borrow::Cow;
+use std::ops::RangeInclusive;
 
 use super::answer::Answer;
 use super::found::Found;
 use super::question::{Choice, Kind, Question, TextRule, When};
 use crate::config::camera::offered;
+use crate::config::lab;
 
 /// Stages with axes, with serial ports, and with fixed lights.
 pub(super) const WITH_AXES: [&str; 2] = ["grbl", "zaber"];
@@ -61,6 +63,11 @@ const DIRECTIONS: TextRule = TextRule {
     accepts: |text| directions(text).is_some(),
 };
 
+const LINE: TextRule = TextRule {
+    allowed: lab::LINE,
+    accepts: |text| lab::line(text).is_some(),
+};
+
 fn is_zaber_place(text: &str) -> bool {
     let within = |part: &str, most: u32| part.parse().is_ok_and(|n: u32| (1..=most).contains(&n));
     text.split_once('/')
@@ -95,6 +102,7 @@ pub fn questions(found: &Found) -> Vec<Question> {
     all.extend(of_the_stage(found));
     all.extend(of_the_axes());
     all.extend(of_the_lamp());
+    all.extend(of_the_lab());
     all
 }
 
@@ -443,6 +451,37 @@ fn of_the_lamp() -> Vec<Question> {
         .default(900.0)
         .help("LEDs need 600 to 1200 s to be stable within 1%; `rig calibrate lamp` measures it"),
     );
+    all
+}
+
+fn of_the_lab() -> Vec<Question> {
+    let range = |range: RangeInclusive<f64>| [*range.start(), *range.end()];
+    let line = |key, title| text(key, title, LINE);
+    let mut all = vec![
+        line("organisation", "Company, institute or university").help("certificates head with it"),
+        line("laboratory", "Laboratory").help("a name, or an accreditation number"),
+        line("operator", "Who works at the bench").help("signs the certificate"),
+        line("contact", "Whom to ask about a result").help("a name"),
+        number(
+            "room_temperature_c",
+            "Temperature of the room",
+            "°C",
+            range(lab::ROOM_TEMPERATURE_C),
+        )
+        .help("as it usually is during a measurement"),
+        number(
+            "room_humidity_percent",
+            "Relative humidity of the room",
+            "%",
+            range(lab::ROOM_HUMIDITY_PERCENT),
+        )
+        .help("as it usually is during a measurement"),
+    ];
+    all = all.into_iter().map(|q| q.when("lab", &[true])).collect();
+    let first = yes_no("lab", "Will you state results to others, as certificates?")
+        .default(false)
+        .help("yes asks who measures and in what room; [lab] of the file takes it later, too");
+    all.insert(0, first);
     all
 }
 

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::question::Kind;
 use super::*;
+use crate::config::lab::LabConfig;
 use crate::config::stage::StageDriver;
 use crate::config::view::SurfaceSpec;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
@@ -137,6 +138,28 @@ fn commented_choices_of_a_capture_are_the_defaults() {
     assert_ne!(text, written.text);
     let rig = RigConfig::parse(FILE, Path::new(""), &text).unwrap();
     assert_eq!(rig.capture, written.rig.capture);
+}
+
+#[test]
+fn who_measures_and_in_what_room_is_asked_for_where_it_will_be_stated() {
+    let mut bench = bench(CAMERAS[0], STAGES[0]);
+    assert_eq!(made(&bench).unwrap().rig.lab, LabConfig::default());
+    bench.set("lab", "yes".into());
+    assert!(made(&bench).is_err());
+    for (key, value) in [
+        ("organisation", "Institute of Optics"),
+        ("laboratory", "D-K-1"),
+        ("operator", "A. Miller"),
+        ("contact", "B. Jones"),
+        ("room_temperature_c", "22.5"),
+        ("room_humidity_percent", "45"),
+    ] {
+        bench.set(key, value.into());
+    }
+    let lab = made(&bench).unwrap().rig.lab;
+    assert_eq!(lab.contact.as_deref(), Some("B. Jones"));
+    let room = [lab.room_temperature_c, lab.room_humidity_percent];
+    assert_eq!(room, [Some(22.5), Some(45.0)]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use super::bench::{Axes, Camera, Draft, Lamp, Lens, Sample, Stage};
+use super::bench::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 
 impl Draft {
     /// The rig file, with a comment for every key.
@@ -13,6 +13,7 @@ impl Draft {
         self.stage(&mut out);
         self.geometry(&mut out);
         self.procedure(&mut out);
+        lab(&mut out, self.lab.as_ref());
         out.0
     }
 
@@ -313,6 +314,29 @@ impl Draft {
             "0.5",
             "The sample's position along each axis.",
         );
+    }
+}
+
+fn lab(out: &mut Lines, lab: Option<&Lab>) {
+    out.table("[lab]");
+    out.remark("Who measures, and the room (°C, % relative humidity): certificates state it. It is captured\nwith the session: state it before you measure. More keys stand in simulated.toml.");
+    let keys = ["organisation", "laboratory", "operator", "contact"];
+    let room = ["room_temperature_c", "room_humidity_percent"];
+    match lab {
+        Some(lab) => {
+            for (key, text) in keys.iter().zip(&lab.who) {
+                out.more(key, quoted(text));
+            }
+            out.more(room[0], number(lab.room_temperature_c));
+            out.more(room[1], number(lab.room_humidity_percent));
+        }
+        None => {
+            for key in keys {
+                out.absent_more(key, "\"\"");
+            }
+            out.absent_more(room[0], "23.0");
+            out.absent_more(room[1], "50.0");
+        }
     }
 }
 

@@ -1,17 +1,19 @@
-//! Spheres under the environment maps, one row for each BRDF.
+//! Spheres under the environment maps, one row for each BRDF and one of the grey that tells
+//! the exposure.
 
 use super::Named;
 use crate::brdf::Brdf;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score::image_error;
-use crate::brdf::sphere::{SphereImage, normals, sphere_images};
+use crate::brdf::sphere::{GreyCard, SphereImage, normals, sphere_images};
 use crate::plot::{Figure, Picture, Tile, pictures};
 
-/// Spheres of `size_px` pixels a side. Each map has one exposure for all BRDFs, that of the
-/// last, which the others are compared with: below each its environment error.
+/// Spheres of `size_px` pixels a side. Each map has one neutral exposure for all BRDFs; below
+/// each is its environment error against the last one.
 pub fn sphere_rows(all: &[Named], size_px: usize) -> Figure {
     let maps = EnvironmentMap::all();
-    let brdfs: Vec<&dyn Brdf> = all.iter().map(|named| &*named.brdf).collect();
+    let mut brdfs: Vec<&dyn Brdf> = all.iter().map(|named| &*named.brdf).collect();
+    brdfs.push(&GreyCard);
     let images = sphere_images(&brdfs, &maps, size_px);
     let last = all.len() - 1;
     let row = |n: usize| {
@@ -19,7 +21,7 @@ pub fn sphere_rows(all: &[Named], size_px: usize) -> Figure {
             let reference = &under[last];
             let caption = match n {
                 n if n == last && last > 0 => "reference".to_owned(),
-                n if n == last => String::new(),
+                n if n >= last => String::new(),
                 _ => format!(
                     "off by {:.1}%",
                     100.0 * image_error(&under[n], reference).all
@@ -27,13 +29,14 @@ pub fn sphere_rows(all: &[Named], size_px: usize) -> Figure {
             };
             Tile {
                 caption,
-                picture: picture(&under[n], reference.natural_exposure()),
+                picture: picture(&under[n], under[all.len()].neutral_exposure()),
                 inset: None,
             }
         });
-        (all[n].label.clone(), tiles.collect())
+        let label = all.get(n).map_or("18% grey", |named| &named.label);
+        (label.to_owned(), tiles.collect())
     };
-    let rows: Vec<(String, Vec<Tile>)> = (0..all.len()).map(row).collect();
+    let rows: Vec<(String, Vec<Tile>)> = (0..brdfs.len()).map(row).collect();
     let names: Vec<String> = maps.iter().map(|map| map.name().to_owned()).collect();
     pictures("spheres", SHOWN_PX, &names, &rows)
 }

@@ -5,8 +5,9 @@
 //! supplement), so a source's uncertainty is stated in the unit of the result, as a part of
 //! f, and every sensitivity is 1.
 
+use crate::brdf::{Brdf, HalfDifference};
 use crate::catalogue::reproducibility::Reproducibility;
-use crate::session::fit_record::{AngleTable, BudgetRecord};
+use crate::session::fit_record::{AngleTable, BudgetRecord, Interval};
 
 /// How a source's uncertainty is known (GUM 4.2, 4.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +48,14 @@ pub struct Source {
     pub contribution: Vec<f64>,
 }
 
+impl Source {
+    /// Whether the fit allowed for it; what it took as exactly known contributes nothing
+    /// anywhere.
+    pub fn is_evaluated(&self) -> bool {
+        self.contribution.iter().any(|part| *part > 0.0)
+    }
+}
+
 /// One pair of angles: a column of the budget.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
@@ -56,13 +65,14 @@ pub struct Column {
     pub theta_d_deg: f64,
     /// f, mean over the channels, 1/sr.
     pub value: f64,
+    /// f of each channel at these very angles with its interval, 1/sr, and whether the images
+    /// constrain it; `None` where the fit has no table.
+    pub channels: Option<Interval>,
     /// Combined standard uncertainty of f over f.
     pub combined: f64,
     /// Expanded uncertainty over f: half the 95% interval's width, mean over the channels;
     /// `None` where the fit has no table.
     pub expanded: Option<f64>,
-    /// Whether the images constrain it.
-    pub constrained: bool,
 }
 
 impl Column {
@@ -71,6 +81,67 @@ impl Column {
     pub fn coverage_factor(&self) -> Option<f64> {
         (self.combined > 0.0).then_some(self.expanded? / self.combined)
     }
+
+    /// Expanded uncertainty of one channel over its f.
+    pub fn expanded_of(&self, channel: usize) -> Option<f64> {
+        self.channels.map(|found| half_width(&found, channel))
+    }
+
+    /// Whether the images constrain it.
+    pub fn is_constrained(&self) -> bool {
+        self.channels.is_some_and(|found| found.constrained)
+    }
+
+    /// Adds a relative standard uncertainty that is independent of the others; the intervals
+    /// widen in proportion.
+    fn widen(&mut self, std: f64) {
+        let factor = self.coverage_factor().unwrap_or(2.0);
+        if let Some(width) = &mut self.expanded {
+            let widened = width.hypot(factor * std);
+            let scale = if *width > 0.0 { widened / *width } else { 1.0 };
+            *width = widened;
+            if let Some(found) = &mut self.channels {
+                for c in 0..3 {
+                    let value = found.value[c];
+                    found.lower[c] = value + scale * (found.lower[c] - value);
+                    found.upper[c] = value + scale * (found.upper[c] - value);
+                }
+            }
+        }
+        self.combined = self.combined.hypot(std);
+    }
+}
+
+/// Half the interval's width over f.
+fn half_width(found: &Interval, channel: usize) -> f64 {
+    let width = found.upper[channel] - found.lower[channel];
+    0.5 * width / found.value[channel].max(f64::MIN_POSITIVE)
+}
+
+/// f and its interval at any angles: the material there, with an interval as wide, relatively,
+/// as the table has it around them.
+fn at(material: &dyn Brdf, table: &AngleTable, angles_deg: [f64; 2]) -> Option<Interval> {
+    let [theta_h_deg, theta_d_deg] = angles_deg;
+    let (to_light, to_viewer) = HalfDifference {
+        theta_h_rad: theta_h_deg.to_radians(),
+        theta_d_rad: theta_d_deg.to_radians(),
+        phi_d_rad: std::f64::consts::FRAC_PI_2,
+    }
+    .to_directions();
+    let value = material.eval(to_light.as_vec3(), to_viewer.as_vec3());
+    let value = value.map(f64::from);
+    let mut found = Interval {
+        value,
+        lower: value,
+        upper: value,
+        constrained: table.is_constrained(theta_h_deg, theta_d_deg),
+    };
+    for c in 0..3 {
+        let [low, high] = table.relative_interval(angles_deg, c)?;
+        found.lower[c] *= 10f64.powf(low);
+        found.upper[c] *= 10f64.powf(high);
+    }
+    Some(found)
 }
 
 /// The whole budget.
@@ -83,10 +154,11 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// From a fit's budget and table, and, where known, the scatter between sessions of the
+    /// From a fit's budget, material and table, and, where known, the scatter between sessions of the
     /// sample: what varies beyond that which the fit states, a contribution of type A.
     pub fn new(
         record: &BudgetRecord,
+        material: &dyn Brdf,
         table: &AngleTable,
         reproducibility: Option<&Reproducibility>,
     ) -> Self {
@@ -95,20 +167,15 @@ impl Budget {
             .row
             .iter()
             .map(|row| {
-                let cell = table.nearest(row.theta_h_deg, row.theta_d_deg);
-                let half_width = cell.map(|cell| {
-                    let relative = (0..3).map(|c| {
-                        0.5 * (cell.upper[c] - cell.lower[c]) / cell.value[c].max(f64::MIN_POSITIVE)
-                    });
-                    relative.sum::<f64>() / 3.0
-                });
+                let channels = at(material, table, [row.theta_h_deg, row.theta_d_deg]);
+                let mean = |found| (0..3).map(|c| half_width(&found, c)).sum::<f64>() / 3.0;
                 Column {
                     theta_h_deg: row.theta_h_deg,
                     theta_d_deg: row.theta_d_deg,
                     value: row.value,
+                    channels,
                     combined: row.relative_std,
-                    expanded: half_width,
-                    constrained: cell.is_some_and(|cell| cell.constrained),
+                    expanded: channels.map(mean),
                 }
             })
             .collect();
@@ -133,9 +200,7 @@ impl Budget {
             };
             let contribution: Vec<f64> = columns.iter().map(at).collect();
             for (column, std) in columns.iter_mut().zip(&contribution) {
-                let factor = column.coverage_factor().unwrap_or(2.0);
-                column.expanded = column.expanded.map(|width| width.hypot(factor * std));
-                column.combined = column.combined.hypot(*std);
+                column.widen(*std);
             }
             sources.push(Source {
                 name: format!("reproducibility over {} sessions", scatter.sessions.len()),
@@ -150,6 +215,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::brdf::source;
     use crate::catalogue::reproducibility::Repeat;
     use crate::session::fit_record::{BudgetRow, Interval};
 
@@ -181,6 +247,10 @@ mod tests {
         }
     }
 
+    fn material() -> Box<dyn Brdf> {
+        source::load("lambertian:0.5").unwrap()
+    }
+
     fn assert_squares_add(budget: &Budget) {
         for (n, column) in budget.columns.iter().enumerate() {
             let squares = budget.sources.iter().map(|s| s.contribution[n].powi(2));
@@ -191,12 +261,19 @@ mod tests {
 
     #[test]
     fn squares_of_contributions_add_to_the_total() {
-        let budget = Budget::new(&record(), &table(), None);
+        let budget = Budget::new(&record(), &*material(), &table(), None);
         assert_squares_add(&budget);
         assert_eq!(budget.columns[0].combined, 0.04);
         // Half of 0.10 over 0.4, and that over 0.04.
         let factor = budget.columns[0].coverage_factor().unwrap();
         assert!((factor - 0.125 / 0.04).abs() < 1e-9, "{factor}");
+        // The material at the column's own angles, with the interval of the cells around.
+        let found = budget.columns[1].channels.unwrap();
+        let f = 0.5 / std::f64::consts::PI;
+        for (of, part) in [(found.value, 1.0), (found.lower, 0.9), (found.upper, 1.15)] {
+            assert!((of[2] - part * f).abs() < 1e-6, "{found:?}");
+        }
+        assert!(budget.sources.iter().all(Source::is_evaluated));
         assert_eq!(budget.sources[0].evaluation.letter(), "A");
         assert_eq!(budget.sources[1].evaluation.letter(), "B");
     }
@@ -219,12 +296,14 @@ mod tests {
         };
         let repeats = [("a", 0.97), ("b", 1.0), ("c", 1.03)].map(repeat);
         let scatter = Reproducibility::of("cup", &repeats).unwrap();
-        let budget = Budget::new(&record(), &table(), Some(&scatter));
+        let budget = Budget::new(&record(), &*material(), &table(), Some(&scatter));
         assert_squares_add(&budget);
         assert!((budget.columns[0].combined - 0.05).abs() < 1e-12, "3, 4, 5");
         // The interval widens in proportion, where it is known.
         let widened = budget.columns[0].expanded.unwrap();
         assert!((widened - 0.125 * 1.25).abs() < 1e-9, "{widened}");
+        let of_green = budget.columns[0].expanded_of(1).unwrap();
+        assert!((of_green - widened).abs() < 1e-6, "{of_green}");
         assert_eq!(budget.columns[1].combined, 0.1);
         assert_eq!(budget.sources[3].name, "reproducibility over 3 sessions");
     }

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 pub use budget::{Budget, Column, Evaluation, Source};
 
+use crate::brdf::BrdfError;
 use crate::catalogue::Catalogue;
 use crate::catalogue::reproducibility::{Reproducibility, ReproducibilityError};
 use crate::fault::Advisor;
@@ -72,6 +73,9 @@ pub enum CertificateError {
         /// Why.
         source: ReproducibilityError,
     },
+    /// The fit's atoms make no BRDF.
+    #[error(transparent)]
+    Brdf(#[from] BrdfError),
     /// A figure failed.
     #[error(transparent)]
     Plot(#[from] PlotError),
@@ -109,7 +113,9 @@ pub fn certificate(request: &CertificateRequest) -> Result<String, CertificateEr
         Some(folder) => Some(between_sessions(folder, &result.session.record().sample)?),
         None => None,
     };
-    let budget = Budget::new(record, &result.record.table, scatter.as_ref());
+    let material = result.record.material()?;
+    let table = &result.record.table;
+    let budget = Budget::new(record, &*material, table, scatter.as_ref());
     template::render(&result, &budget)
 }
 

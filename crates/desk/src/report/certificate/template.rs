@@ -4,8 +4,9 @@ use minijinja::value::Value;
 use minijinja::{Environment, UndefinedBehavior, context};
 
 use super::CertificateError;
-use super::budget::Budget;
+use super::budget::{Budget, Column};
 use crate::checksum::sha256_hex;
+use crate::config::lab::LabConfig;
 use crate::outside_file::read_regular;
 use crate::report::figures;
 use crate::report::value::{value, values};
@@ -36,10 +37,11 @@ pub(super) fn render(result: &StatedResult, budget: &Budget) -> Result<String, C
         }),
         verdict => record.verdict().sentence(),
         warnings => value(&record.warnings),
-        results => results(result, budget),
+        results => results(budget),
         map => value(maps.map(|[of_f, _]| of_f)),
         validity => validity(result),
         budget => budget_view(budget),
+        bench_exact => record.bench.is_none(),
         coverage => coverage::statement(record),
         coverage_met => coverage::MeasuredCoverage::of(record).is_some_and(|c| c.is_reached()),
         checksums => value(checksums(result)?),
@@ -90,7 +92,7 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
     let frames: Vec<FrameEntry> = result.session.frames().collect();
     let bench = match &record.bench {
         None => {
-            "taken as described; its uncertainty is in the budget only as far as residuals show it"
+            "taken as exact, as the rig file and the calibration records describe it: an error of it is in the budget only as far as residuals show it"
                 .to_owned()
         }
         Some(bench) => format!(
@@ -152,40 +154,67 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
             ),
         ),
         fact("Bench", bench),
-        fact("Environment", "temperature and humidity of the room were not recorded".to_owned()),
+        fact("Environment", environment(&result.config.lab)),
     ]
+}
+
+/// The room, as the laboratory states it.
+fn environment(lab: &LabConfig) -> String {
+    let stated = [
+        (
+            lab.room_temperature_c.map(|c| format!("{c} °C")),
+            "temperature",
+        ),
+        (
+            lab.room_humidity_percent.map(|p| format!("{p} %")),
+            "relative humidity",
+        ),
+    ];
+    let stated = stated.map(|(value, of)| match value {
+        Some(value) => format!("{of} {value}"),
+        None => format!("{of} {NOT_STATED}"),
+    });
+    format!(
+        "room: {} (as the laboratory states them)",
+        stated.join(", ")
+    )
 }
 
 fn or_none(text: &str) -> &str {
     if text.is_empty() { "none" } else { text }
 }
 
-/// The table's cells nearest to the budget's angles, as table.csv has them.
-fn results(result: &StatedResult, budget: &Budget) -> Vec<Value> {
-    let table = &result.record.table;
-    let nearest = |angles: &[f64], angle: f64| {
-        crate::session::fit_record::lookup::nearest_index(angles, angle)
-    };
+/// f by channel at the budget's angles, each figure to the last place of its uncertainty.
+fn results(budget: &Budget) -> Vec<Value> {
     let rows = budget.columns.iter().filter_map(|column| {
-        let i = nearest(&table.theta_h_deg, column.theta_h_deg)?;
-        let j = nearest(&table.theta_d_deg, column.theta_d_deg)?;
-        let cell = table.cell(i, j)?;
+        let found = column.channels?;
         let channel = |c: usize| {
+            let place = last_place(0.25 * (found.upper[c] - found.lower[c]));
             context! {
-                value => significant(cell.value[c]),
-                exact => format!("{:?}", cell.value[c]),
-                lower => significant(cell.lower[c]),
-                upper => significant(cell.upper[c]),
+                value => to_place(found.value[c], place),
+                exact => format!("{:?}", found.value[c]),
+                lower => to_place(found.lower[c], place),
+                upper => to_place(found.upper[c], place),
             }
         };
         Some(context! {
-            theta_h => format!("{:.1}°", table.theta_h_deg[i]),
-            theta_d => format!("{:.1}°", table.theta_d_deg[j]),
+            theta_h => degrees(column.theta_h_deg),
+            theta_d => degrees(column.theta_d_deg),
             channels => values(0..3, channel),
-            constrained => cell.constrained,
+            mean => mean_of(column),
+            constrained => column.is_constrained(),
         })
     });
     rows.collect()
+}
+
+/// f of the mean of the channels, to the last place of its standard uncertainty.
+fn mean_of(column: &Column) -> String {
+    to_place(column.value, last_place(column.combined * column.value))
+}
+
+fn degrees(angle: f64) -> String {
+    format!("{angle:.0}°")
 }
 
 /// What part of the angles was measured.
@@ -222,7 +251,11 @@ fn validity(result: &StatedResult) -> Value {
 }
 
 fn budget_view(budget: &Budget) -> Value {
-    let percent = |relative: f64| digits(100.0 * relative, 3);
+    // Contributions that round to nothing are still not nothing.
+    let percent = |relative: f64| match 100.0 * relative {
+        part if part < 0.005 => "< 0.01".to_owned(),
+        part => to_place(part, last_place(part)),
+    };
     let largest: Vec<f64> = (0..budget.columns.len())
         .map(|n| {
             budget
@@ -234,18 +267,21 @@ fn budget_view(budget: &Budget) -> Value {
         .collect();
     context! {
         columns => values(&budget.columns, |column| context! {
-            angles => format!("{:.0}°, {:.0}°", column.theta_h_deg, column.theta_d_deg),
-            value => significant(column.value),
+            angles => format!("{}, {}", degrees(column.theta_h_deg), degrees(column.theta_d_deg)),
+            value => mean_of(column),
             exact_value => format!("{:?}", column.value),
             combined => percent(column.combined),
             exact_combined => format!("{:?}", column.combined),
             expanded => column.expanded.map_or("–".to_owned(), percent),
-            factor => column.coverage_factor().map_or("–".to_owned(), |k| format!("{k:.2}")),
-            constrained => column.constrained,
+            expanded_of => values(0..3, |c| column.expanded_of(c).map_or("–".to_owned(), percent).into()),
+            factor => column.coverage_factor().map_or("–".to_owned(), |k| format!("{k:.1}")),
+            constrained => column.is_constrained(),
         }),
+        not_evaluated => not_evaluated(budget),
         sources => values(&budget.sources, |source| context! {
             name => &source.name,
             evaluation => source.evaluation.letter(),
+            evaluated => source.is_evaluated(),
             contributions => values(source.contribution.iter().enumerate(), |(n, part)| context! {
                 shown => percent(*part),
                 exact => format!("{part:?}"),
@@ -253,6 +289,16 @@ fn budget_view(budget: &Budget) -> Value {
             }),
         }),
     }
+}
+
+/// Names of the sources that the fit did not allow for.
+fn not_evaluated(budget: &Budget) -> String {
+    let sources = budget.sources.iter();
+    let names = sources.filter(|source| !source.is_evaluated());
+    names
+        .map(|source| source.name.as_str())
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// Names and SHA-256 of what the result rests on.
@@ -281,22 +327,51 @@ fn checksums(result: &StatedResult) -> Result<Vec<(String, String)>, SessionErro
     Ok(found)
 }
 
-/// Four significant digits.
-fn significant(value: f64) -> String {
-    digits(value, 4)
+/// The power of ten of the second significant digit of a standard uncertainty, the last that
+/// is stated (GUM 7.2.6); of none, that of a millionth.
+fn last_place(uncertainty: f64) -> i32 {
+    if !(uncertainty.is_finite() && uncertainty > 0.0) {
+        return -6;
+    }
+    // Rounded first: 0.0996 is 0.10.
+    let rounded = format!("{uncertainty:.1e}");
+    let exponent = rounded
+        .split_once('e')
+        .and_then(|(_, e)| e.parse::<i32>().ok());
+    exponent.unwrap_or(0) - 1
 }
 
-/// So many significant digits.
-fn digits(value: f64, count: i32) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return format!("{value}");
-    }
+/// Rounded to a power of ten.
+fn to_place(value: f64, place: i32) -> String {
     let magnitude = value.abs().log10().floor() as i32;
-    if (-3..count).contains(&magnitude) {
-        let decimals = (count - 1 - magnitude).max(0) as usize;
-        format!("{value:.decimals$}")
-    } else {
-        let decimals = count.max(1) as usize - 1;
-        format!("{value:.decimals$e}").replace('-', "−")
+    if value == 0.0 || !value.is_finite() || (-4..6).contains(&magnitude) && place < 6 {
+        let decimals = usize::try_from(-place).unwrap_or(0);
+        let rounded = match place {
+            1.. => (value / 10f64.powi(place)).round() * 10f64.powi(place),
+            _ => value,
+        };
+        return format!("{rounded:.decimals$}").replace('-', "−");
+    }
+    let decimals = usize::try_from(magnitude - place).unwrap_or(0);
+    format!("{value:.decimals$e}").replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_end_where_their_uncertainty_does() {
+        for (value, uncertainty, shown) in [
+            (0.1050, 0.0637, "0.105"),
+            (0.03695, 0.00996, "0.037"),
+            (1234.5, 152.0, "1230"),
+            (12.345, 1.24, "12.3"),
+            (0.002_345_6, 0.000_123, "0.00235"),
+            (2.3456e-6, 1.23e-7, "2.35e−6"),
+            (0.5, 0.0, "0.500000"),
+        ] {
+            assert_eq!(to_place(value, last_place(uncertainty)), shown);
+        }
     }
 }
