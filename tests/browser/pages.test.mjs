@@ -37,7 +37,10 @@ test("no view has a violation of accessibility, scrolls sideways or hides STOP",
       await page.evaluate((hash) => (location.hash = hash), view);
       await until(page, `${view} is filled`, (hash) => [...document.querySelectorAll(`#view-${hash.slice(1)} .panel`)].some((panel) => panel.checkVisibility()), view);
       await until(page, "nothing is being loaded", () => ![...document.querySelectorAll(".loaded")].some((part) => part.innerText.includes("Checking")));
-      assert.deepEqual(await violations(page), [], `${view} at ${size.width} px`);
+      for (const theme of ["light", "dark"]) {
+        await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: theme }]);
+        assert.deepEqual(await violations(page), [], `${view} at ${size.width} px, ${theme}`);
+      }
       assert.equal(await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth), 0, `${view} at ${size.width} px scrolls sideways`);
       await page.evaluate(() => window.scrollTo(0, document.body.scrollHeight));
       assert.ok(await inReach(page), `${view} at ${size.width} px: STOP is out of reach`);
@@ -113,5 +116,32 @@ test("the keyboard alone starts a capture and stops it", async () => {
   await tabTo("stop");
   await page.keyboard.press("Enter");
   await untilCapture(page, "interrupted");
+  assert.deepEqual(page.complaints, []);
+});
+
+test("keys lead to the views, are listed, can be turned off, and stop", async () => {
+  const page = await openPage(browser, desk.address, "#bench");
+  const view = (name) => until(page, `${name} is shown`, (id) => document.querySelector(`#view-${id}`).checkVisibility(), name);
+  await page.keyboard.press("s");
+  await view("sessions");
+  await page.keyboard.press("/");
+  await until(page, "the search has the focus", () => document.activeElement?.id === "search");
+  await page.keyboard.type("b?");
+  assert.equal(await page.$eval("#search", (input) => input.value), "b?");
+  await page.$eval("#search", (input) => input.blur());
+  await page.keyboard.type("?");
+  await until(page, "the keys are listed", () => document.querySelector("dialog").open);
+  assert.match(await textOf(page, "dialog"), /Search the sessions[\s\S]*STOP/);
+  assert.deepEqual(await violations(page), []);
+  assert.ok(await inReach(page));
+  await page.$eval("#keys-on", (box) => box.click());
+  await page.keyboard.press("Escape");
+  await page.keyboard.press("b");
+  assert.ok(await page.$eval("#view-sessions", (shown) => shown.checkVisibility()), "single keys are off");
+  await page.keyboard.down("Shift");
+  await page.keyboard.press("Escape");
+  await page.keyboard.up("Shift");
+  await until(page, "STOP was sent", () => document.querySelector("#spoken").textContent.startsWith("STOP"));
+  await page.evaluate(() => localStorage.removeItem("rig-keys"));
   assert.deepEqual(page.complaints, []);
 });

@@ -272,6 +272,14 @@ pub fn paths_and_methods() -> Vec<Row> {
         ("the folder itself", "/sessions/"),
         ("details of a linked session", "/api/sessions/link"),
         ("details of elsewhere", "/api/sessions/..%2Felsewhere"),
+        (
+            "a comparison of a linked session",
+            "/api/compare?fits=link:0/link:1",
+        ),
+        (
+            "a comparison of elsewhere",
+            "/api/compare?fits=..%2Felsewhere:0/real:0",
+        ),
         ("a file that is not served", "/page/index.html"),
     ]
     .into_iter()

@@ -317,13 +317,16 @@ fn a_page_sets_up_a_bench_below_its_folder_alone() {
         assert!(!error.contains("is not below"), "{error}");
     }
     std::fs::write(at("rig.toml"), "").unwrap();
-    let (status, answer) = set_up(json!({}));
-    assert_eq!(
-        (status, &answer["error"]),
-        (409, &"rig.toml exists in the console's folder".into())
-    );
-    let hint = answer["hint"].to_string();
-    assert!(hint.contains("rename it"), "{hint}");
+    // A second bench has a file of its own name, which is no path and no option.
+    std::fs::write(at("arm.toml"), "").unwrap();
+    for bad in ["", "../arm", "/tmp/arm", "-arm", ".arm", "a\nb", "arm"] {
+        let (status, answer) = set_up(json!({"name": bad}));
+        assert_eq!(status, 409, "{bad:?}: {answer}");
+        assert!(answer["hint"].to_string().contains("name"), "{answer}");
+    }
+    let (status, answer) = set_up(json!({"name": "second arm"}));
+    assert_ne!(status, 409, "{answer}");
+    assert!(!at("second-arm.toml").exists() || status == 200);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use rig_bench::plot;
 use rig_bench::{
     beneath, calibration, capture, catalogue, config, fault, session, shell_words, workflow,
 };
-use rig_desk::export;
+use rig_desk::{export, report};
 use rig_device::{device, radiometry};
 
 pub mod console;

@@ -1,4 +1,4 @@
-//! What a page may do with a session: fit it anew, export a fit.
+//! What a page may do with a session: fit it anew, export a fit, have its certificate written.
 
 use std::ffi::OsString;
 use std::path::{Path as FilePath, PathBuf};
@@ -19,6 +19,7 @@ use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
+use crate::report::certificate::browser::Browser;
 use crate::session::layout::FITS_FOLDER;
 use crate::workflow::FitRequest;
 
@@ -116,7 +117,16 @@ async fn export(
             return Err(Refusal::bad(format!("fit {fit:?} is no number")));
         };
         let format = form.format;
-        let Some(files) = exports::files(number, &format) else {
+        let is_certificate = format == exports::CERTIFICATE;
+        let files = match is_certificate {
+            // PDF where a browser of this machine prints.
+            true => Some(vec![exports::certificate_file(
+                number,
+                Browser::find().is_some(),
+            )]),
+            false => exports::files(number, &format),
+        };
+        let Some(files) = files else {
             return Err(Refusal::bad(format!("there is no format {format:?}")));
         };
         let sessions = &jobs.program().folder;
@@ -127,13 +137,20 @@ async fn export(
         // Where to.
         let folder =
             exports::folder(sessions, &name).map_err(|error| Refusal::failed(error.to_string()))?;
-        let arguments = vec![
-            "export".into(),
-            sessions.join(fit).into_os_string(),
-            format!("--format={format}").into(),
-            "--out".into(),
-            folder.join(&files[0]).into_os_string(),
-        ];
+        let mut arguments: Vec<OsString> = match is_certificate {
+            true => vec![
+                "report".into(),
+                sessions.join(&name).into_os_string(),
+                "--certificate".into(),
+                format!("--fit={number}").into(),
+            ],
+            false => vec![
+                "export".into(),
+                sessions.join(fit).into_os_string(),
+                format!("--format={format}").into(),
+            ],
+        };
+        arguments.extend(["--out".into(), folder.join(&files[0]).into_os_string()]);
         let address = |file| format!("sessions/{name}/{EXPORTS_FOLDER}/{file}");
         Ok(Work {
             downloads: files.into_iter().map(address).collect(),

@@ -1,6 +1,7 @@
 //! Everything that a page shows of one session.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 
 use serde::Serialize;
 
@@ -10,8 +11,14 @@ use crate::beneath;
 use crate::catalogue::row::{self, EntryError, FitRow, Row, entry_fault, read_fit};
 use crate::fault::{Advisor, Fault};
 use crate::session::fit_record::{self, FitRecord, Warning};
+use crate::session::layout::REPORT_FILE;
 use crate::session::validation::{self, VALIDATION_FILE, Validation};
 use crate::session::{Event, Session, SessionState};
+
+/// What the number of the fit stands behind in a report.
+const REPORT_FIT: &str = "<meta name=\"rig-fit\" content=\"";
+/// It stands within so many bytes.
+const REPORT_HEAD_BYTES: u64 = 1024;
 
 /// A session in full.
 #[derive(Debug, Serialize)]
@@ -19,6 +26,8 @@ pub struct Detail {
     /// As in the list.
     #[serde(flatten)]
     pub row: Row<FitDetail>,
+    /// The number of the fit that its report shows; `None` where that is not stated.
+    pub report_fit: Option<String>,
     /// Pictures of what was captured.
     pub pictures: Vec<Named>,
     /// What is to be known of the capture.
@@ -73,6 +82,7 @@ impl SessionPages {
             Err(error) => {
                 return Ok(Detail {
                     row: Row::failed(name, entry_fault(&error, advisor)),
+                    report_fit: None,
                     pictures: Vec::new(),
                     warnings: Vec::new(),
                     validation: None,
@@ -92,6 +102,7 @@ impl SessionPages {
         };
         Ok(Detail {
             row: Row::of(&session, name, fits.into_iter().map(fit).collect()),
+            report_fit: report_fit(&session),
             pictures: pictures::of_session(&session),
             warnings: warnings(&session),
             validation: validation_detail(&session, advisor),
@@ -107,6 +118,17 @@ fn fit_detail(session: &Session, number: u32, record: &FitRecord) -> FitDetail {
         settings: settings(record),
         pictures: pictures::of_fit(session, number),
     }
+}
+
+/// What the head of a session's report states.
+fn report_fit(session: &Session) -> Option<String> {
+    let file = beneath::open(session.root(), REPORT_FILE).ok()?;
+    let mut head = Vec::new();
+    file.take(REPORT_HEAD_BYTES).read_to_end(&mut head).ok()?;
+    let head = String::from_utf8_lossy(&head);
+    let (_, rest) = head.split_once(REPORT_FIT)?;
+    let (number, _) = rest.split_once('"')?;
+    number.parse::<u32>().ok().map(|number| number.to_string())
 }
 
 fn validation_detail(session: &Session, advisor: &Advisor) -> Option<ValidationDetail> {

@@ -13,6 +13,15 @@ pub const EXPORTS_FOLDER: &str = "exports";
 /// Where they are, next to the sessions: a folder for each.
 pub const EXPORTS_ROOT: &str = ".exports";
 
+/// What a page asks for a certificate of measurement as, next to the formats.
+pub const CERTIFICATE: &str = "certificate";
+
+/// The name of a fit's certificate.
+pub fn certificate_file(number: u32, is_pdf: bool) -> String {
+    let ending = if is_pdf { "pdf" } else { "html" };
+    format!("fit-{number}-{CERTIFICATE}.{ending}")
+}
+
 /// The names of the files that an export of fit `number` makes, the one with the format's
 /// usual ending first; `None` if there is no such format.
 pub fn files(number: u32, format: &str) -> Option<Vec<String>> {
@@ -34,9 +43,11 @@ pub fn is_export(name: &str) -> bool {
     let Some(number) = number.and_then(|(number, _)| number.parse().ok()) else {
         return false;
     };
-    FORMATS.iter().any(|format| {
-        files(number, format.name).is_some_and(|made| made.iter().any(|of| of == name))
-    })
+    let is_certificate = [true, false].map(|is_pdf| certificate_file(number, is_pdf) == name);
+    is_certificate.contains(&true)
+        || FORMATS.iter().any(|format| {
+            files(number, format.name).is_some_and(|made| made.iter().any(|of| of == name))
+        })
 }
 
 /// The folder of a session's exports, made where it is missing; no link leads to it.
@@ -68,6 +79,11 @@ mod tests {
             let files = files(3, format.name).unwrap();
             assert!(files.iter().all(|name| is_export(name)), "{files:?}");
         }
+        assert!(
+            [true, false]
+                .iter()
+                .all(|pdf| is_export(&certificate_file(2, *pdf)))
+        );
         assert_eq!(
             files(0, "pbrt").unwrap(),
             ["fit-0-pbrt.pbrt", "fit-0-pbrt.spectral.bsdf"]
@@ -75,6 +91,8 @@ mod tests {
         assert_eq!(files(0, "exe"), None);
         for name in [
             "fit-0-json.exe",
+            "fit-0-certificate.exe",
+            "fit-x-certificate.pdf",
             "fit--json.json",
             "json",
             "fit-0-gltf.json",

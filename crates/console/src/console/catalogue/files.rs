@@ -16,6 +16,7 @@ use crate::session::validation;
 const LARGEST_FILE_BYTES: u64 = 512 << 20;
 
 const PLAIN: &str = "text/plain; charset=utf-8";
+const PNG: &str = "image/png";
 const BYTES: &str = "application/octet-stream";
 
 /// Files of a fit that may be read.
@@ -45,7 +46,12 @@ fn allowed(file: &str) -> Option<Allowed> {
     }
     let (folder, name) = file.rsplit_once('/')?;
     if folder == EXPORTS_FOLDER {
-        return is_export(name).then_some(Allowed::File(BYTES, Shown::Download));
+        // The picture beside a material is shown next to its download.
+        let as_what = match name.ends_with(".png") {
+            true => Allowed::File(PNG, Shown::Inline),
+            false => Allowed::File(BYTES, Shown::Download),
+        };
+        return is_export(name).then_some(as_what);
     }
     if let Some(number) = folder.strip_prefix(VALIDATIONS_FOLDER) {
         let number: u32 = number.strip_prefix('/')?.parse().ok()?;
@@ -68,7 +74,7 @@ fn of_a_validation(number: u32, file: &str) -> Option<Allowed> {
         .strip_prefix("light_L")
         .and_then(|rest| rest.strip_suffix(".png"));
     let (kind, own) = match light {
-        Some(light) => ("image/png", validation::picture_file(light.parse().ok()?)),
+        Some(light) => (PNG, validation::picture_file(light.parse().ok()?)),
         None => (PLAIN, validation::VALIDATION_FILE.to_owned()),
     };
     let is_it = file == validation::inside(number, &own);
@@ -102,7 +108,7 @@ impl SessionPages {
             Allowed::Picture(picture) => self.kept_or(session, file, || {
                 let open = row::open(self.catalogue().folder(), session)?;
                 Ok(Served {
-                    kind: "image/png",
+                    kind: PNG,
                     shown: Shown::Inline,
                     bytes: Arc::new(pictures::png(&open, picture)?),
                 })
@@ -127,6 +133,8 @@ mod tests {
             ("validations/12/light_L003.png", Inline),
             ("exports/fit-0-merl.binary", Download),
             ("exports/fit-0-merl.binary.txt", Download),
+            ("exports/fit-0-openpbr.mtlx.png", Inline),
+            ("exports/fit-0-certificate.html", Download),
         ] {
             match allowed(file) {
                 Some(Allowed::File(_, as_what)) => assert_eq!(as_what, shown, "{file}"),

@@ -1,6 +1,7 @@
 //! What a page may read of a folder's sessions, which [`crate::catalogue`] lists.
 //!
 //! - [`SessionPages`]: the list, with pictures that were made;
+//! - [`comparison`]: two or more fits, of any sessions;
 //! - [`detail`]: everything that a page shows of one session;
 //! - [`files`]: which files of a session may be read; [`served`]: what a page gets;
 //! - [`exports`]: what exports make;
@@ -8,6 +9,7 @@
 //! - [`routes()`] and [`action_routes`]: the addresses.
 
 mod actions;
+pub mod comparison;
 pub mod detail;
 pub mod exports;
 pub mod files;

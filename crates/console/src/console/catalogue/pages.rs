@@ -16,6 +16,8 @@ const KEPT_PICTURES: usize = 64;
 pub struct SessionPages {
     catalogue: Catalogue,
     pictures: Mutex<VecDeque<KeptPicture>>,
+    /// Comparisons are made one at a time.
+    pub(super) comparing: Mutex<()>,
 }
 
 /// A picture that was made of a session's images.
@@ -33,6 +35,7 @@ impl SessionPages {
         Self {
             catalogue: Catalogue::new(folder, advisor),
             pictures: Mutex::default(),
+            comparing: Mutex::default(),
         }
     }
 

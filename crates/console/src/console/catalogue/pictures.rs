@@ -1,6 +1,7 @@
 //! Images of a session and its fits as PNG: `fits/<n>/residual_L000.png`,
-//! `fits/<n>/rendered_L000.png`, `fits/<n>/spheres.png` and `derived/radiance_L000.png`. There
-//! are no such files: they are made of the `.exr` files, and of the fitted material.
+//! `fits/<n>/rendered_L000.png`, `fits/<n>/spheres.png`, `derived/radiance_L000.png` and, small,
+//! `derived/thumbnail.png`. There are no such files: they are made of the `.exr` files, and of
+//! the fitted material.
 
 use std::io::Cursor;
 
@@ -23,12 +24,16 @@ use crate::session::validation::{self, LightScore, Validation};
 
 /// Pixels a side of a sphere.
 const SPHERE_PX: usize = 128;
+/// Pixels of a thumbnail's longer side.
+const THUMBNAIL_PX: usize = 160;
 /// Between the parts of a picture, pixels.
 const GAP_PX: usize = 4;
 
 /// What a picture shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureOf {
+    /// The merged radiance under the first light, small.
+    Thumbnail,
     /// The merged radiance under a light.
     Radiance(u32),
     /// A fit's image of a light, as rendered from it.
@@ -73,6 +78,9 @@ impl PictureOf {
     fn read(file: &str) -> Option<Self> {
         let (folder, name) = file.strip_suffix(".png")?.rsplit_once('/')?;
         let light = |prefix: &str| name.strip_prefix(prefix)?.parse::<u32>().ok();
+        if folder == DERIVED_FOLDER && name == "thumbnail" {
+            return Some(Self::Thumbnail);
+        }
         if folder == DERIVED_FOLDER {
             return light("radiance_L").map(Self::Radiance);
         }
@@ -92,6 +100,7 @@ impl PictureOf {
     pub fn file(self) -> String {
         match self {
             Self::Spheres { fit } => format!("{FITS_FOLDER}/{fit}/spheres.png"),
+            Self::Thumbnail => format!("{DERIVED_FOLDER}/thumbnail.png"),
             _ => self.source().replace(".exr", ".png"),
         }
     }
@@ -99,6 +108,7 @@ impl PictureOf {
     /// The journalled image that it is made of; for spheres the fit's record.
     fn source(self) -> String {
         match self {
+            Self::Thumbnail => layout::radiance_file(0),
             Self::Radiance(light) => layout::radiance_file(light),
             Self::Rendered { fit, light } => {
                 format!("{FITS_FOLDER}/{fit}/rendered_L{light:03}.exr")
@@ -112,6 +122,7 @@ impl PictureOf {
 
     fn caption(self) -> String {
         match self {
+            Self::Thumbnail => "The sample".to_owned(),
             Self::Radiance(light) => format!("Light {light}: captured radiance"),
             Self::Rendered { light, .. } => format!("Light {light}: rendered from the fit"),
             Self::Residual { light, .. } => format!(
@@ -186,6 +197,7 @@ pub fn png(session: &Session, of: PictureOf) -> Result<Vec<u8>, FileError> {
                     let channels = [0, 1, 2].map(|channel| residual(&image, channel));
                     in_a_row(&channels)
                 }
+                PictureOf::Thumbnail => thumbnail(&tone_mapped(&image, white_level(&image))),
                 _ => tone_mapped(&image, white_level(&image)),
             }
         }
@@ -218,6 +230,33 @@ fn spheres(session: &Session, fit: u32) -> Result<Picture, FileError> {
         })
         .collect();
     Ok(in_a_column(&rows))
+}
+
+/// The picture within [`THUMBNAIL_PX`] a side, as the mean of the pixels behind each of its own.
+fn thumbnail(picture: &Picture) -> Picture {
+    let longest = picture.width.max(picture.height);
+    if longest <= THUMBNAIL_PX {
+        return picture.clone();
+    }
+    let side = |length: usize| (length * THUMBNAIL_PX / longest).max(1);
+    let (width, height) = (side(picture.width), side(picture.height));
+    Picture::from_fn(width, height, |x, y| {
+        let columns = x * picture.width / width..(x + 1) * picture.width / width;
+        let rows = y * picture.height / height..(y + 1) * picture.height / height;
+        let pixels = rows.flat_map(|row| {
+            columns
+                .clone()
+                .map(move |column| picture.pixels[row * picture.width + column])
+        });
+        let (mut sum, mut count) = ([0u32; 4], 0u32);
+        for pixel in pixels {
+            count += 1;
+            for (sum, value) in sum.iter_mut().zip(pixel) {
+                *sum += u32::from(value);
+            }
+        }
+        sum.map(|sum| (sum / count.max(1)) as u8)
+    })
 }
 
 /// Pictures of one height next to each other.
@@ -280,6 +319,7 @@ mod tests {
     #[test]
     fn a_picture_has_one_name() {
         for of in [
+            PictureOf::Thumbnail,
             PictureOf::Radiance(3),
             PictureOf::Rendered { fit: 0, light: 12 },
             PictureOf::Residual { fit: 4, light: 0 },
@@ -297,6 +337,15 @@ mod tests {
         ] {
             assert_eq!(PictureOf::parse(other), None, "{other}");
         }
+    }
+
+    #[test]
+    fn a_thumbnail_is_small_and_keeps_shape_and_mean() {
+        let picture = Picture::from_fn(640, 321, |x, _| [(x % 2 * 100) as u8; 4]);
+        let small = thumbnail(&picture);
+        assert_eq!((small.width, small.height), (160, 80));
+        assert!(small.pixels.iter().all(|pixel| *pixel == [50; 4]));
+        assert_eq!(thumbnail(&small).pixels, small.pixels);
     }
 
     #[test]

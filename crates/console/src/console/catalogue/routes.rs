@@ -12,6 +12,7 @@ use axum::routing::get;
 use axum::{Json, Router};
 use serde::{Deserialize, Serialize};
 
+use super::comparison::ComparisonError;
 use super::pages::SessionPages;
 use super::served::{FileError, Served, Shown};
 use crate::catalogue::row::EntryError;
@@ -24,11 +25,12 @@ use crate::fault::{Advisor, Fault};
 const REPORT_POLICY: &str =
     "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'";
 
-/// `api/sessions`, `api/sessions/NAME`, `sessions/NAME/FILE`.
+/// `api/sessions`, `api/sessions/NAME`, `api/compare`, `sessions/NAME/FILE`.
 pub fn routes(pages: Arc<SessionPages>) -> Router {
     Router::new()
         .route("/api/sessions", get(list))
         .route("/api/sessions/{name}", get(detail))
+        .route("/api/compare", get(compare))
         .route("/sessions/{name}/{*file}", get(file))
         .with_state(pages)
 }
@@ -68,6 +70,24 @@ async fn detail(
             Err(Refusal::missing(format!("there is no session {name:?}")))
         }
         Err(error) => Err(Refusal::missing(error.to_string())),
+    })
+    .await?
+}
+
+#[derive(Deserialize)]
+struct Fits {
+    fits: String,
+}
+
+async fn compare(
+    State(pages): State<Arc<SessionPages>>,
+    fits: Result<Query<Fits>, QueryRejection>,
+) -> Result<Response, Refusal> {
+    let Query(Fits { fits }) = fits.map_err(|error| Refusal::bad(error.body_text()))?;
+    blocking(move || match pages.compare(&fits) {
+        Ok(comparison) => Ok(json(&comparison)),
+        Err(error @ ComparisonError::Asked { .. }) => Err(Refusal::bad(error.to_string())),
+        Err(ComparisonError::File(error)) => Err(refusal(&error, pages.catalogue().advisor())),
     })
     .await?
 }

@@ -31,6 +31,13 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     assert!(fit.environment_error.is_some_and(|error| error > 0.0));
 
     let detail = serde_json::to_value(pages.detail(&name).unwrap()).unwrap();
+    assert_eq!(detail["report_fit"], serde_json::Value::Null);
+    let report = folder.path().join(&name).join("report.html");
+    std::fs::write(report, "<meta name=\"rig-fit\" content=\"3\">").unwrap();
+    assert_eq!(
+        pages.detail(&name).unwrap().report_fit.as_deref(),
+        Some("3")
+    );
     assert_eq!(detail["name"], name.as_str());
     let fits = detail["fits"].as_array().unwrap();
     assert_eq!(fits.len(), 1, "{detail}");
@@ -62,6 +69,16 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     assert_eq!(shown["rows"][1][1], "5.5%", "{shown}");
     let picture = shown["pictures"][0]["name"].as_str().unwrap();
     assert_eq!(*pages.file(&name, picture).unwrap().bytes, b"png");
+    // Against itself and against a second one.
+    assert!(matches!(
+        pages.compare(&format!("{name}:0")).unwrap_err(),
+        comparison::ComparisonError::Asked { .. }
+    ));
+    let missing = pages.compare(&format!("{name}:0/{name}:7")).unwrap_err();
+    let same = pages.compare(&format!("{name}:0/{name}:0")).unwrap();
+    assert!(!missing.to_string().is_empty() && same.fits.len() == 2);
+    assert_eq!(same.pairs[0].environment_error, 0.0);
+    assert_eq!(same.pairs[0].in_uncertainties, Some(0.0));
     // Made once.
     let residual = || pages.file(&name, "fits/0/residual_L000.png").unwrap().bytes;
     assert!(Arc::ptr_eq(&residual(), &residual()));

@@ -182,6 +182,32 @@ fn elsewhere<'a>(
     mesh.or_else(|| frames.filter(|frames| beneath::check_folder(folder, frames).is_err()))
 }
 
+/// Where a bench of this name is written: the first one of a folder in [`RIG_FILE`], another in
+/// a file of its own name.
+///
+/// # Errors
+/// Both exist, or the name makes no plain file name.
+fn free_file(name: Option<&str>) -> Result<String, Refusal> {
+    let is_free = |file: &str| FilePath::new(file).symlink_metadata().is_err();
+    if is_free(RIG_FILE) {
+        return Ok(RIG_FILE.to_owned());
+    }
+    let name = name.unwrap_or_default().trim();
+    let is_plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | ' ' | '.');
+    if name.is_empty() || name.starts_with(['-', '.', ' ']) || !name.chars().all(is_plain) {
+        let fact = format!("{RIG_FILE} exists, and {name:?} names no other file");
+        let hint = "give this bench a name of letters, digits, - and _".to_owned();
+        return Err(Refusal::conflict(fact).hint(Some(hint)));
+    }
+    let file = format!("{}.toml", name.replace(' ', "-"));
+    if !is_free(&file) {
+        let fact = format!("{RIG_FILE} and {file} exist in the console's folder");
+        let hint = "give this bench another name: a rig file is never replaced".to_owned();
+        return Err(Refusal::conflict(fact).hint(Some(hint)));
+    }
+    Ok(file)
+}
+
 #[derive(Deserialize)]
 struct SetUp {
     answers: serde_json::Map<String, Value>,
@@ -193,21 +219,16 @@ async fn set_up(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<SetU
         let hint = "run `rig init` at the terminal";
         return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(Some(hint.into())));
     }
-    // `init` would advise an option that a page does not have.
-    if FilePath::new(RIG_FILE).symlink_metadata().is_ok() {
-        let refused = Refusal::conflict(format!("{RIG_FILE} exists in the console's folder"));
-        let hint = "a rig file is never replaced: rename it, or write another one with `rig init --out FILE` at the terminal";
-        return Err(refused.hint(Some(hint.into())));
-    }
+    let file = free_file(form.answers.get("name").and_then(Value::as_str))?;
     if let Some(named) = elsewhere(&form.answers, FilePath::new(".")) {
-        let fact =
-            format!("{named:?} is not below the console's folder, where {RIG_FILE} is written");
+        let fact = format!("{named:?} is not below the console's folder, where {file} is written");
         let hint = "put it there and name it by its path from there (links are not followed), or run `rig init` at the terminal";
         return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(Some(hint.into())));
     }
-    let arguments = ["init", "--answers=-", "--json"].map(OsString::from);
+    let mut arguments = Vec::from(["init", "--answers=-", "--json"].map(OsString::from));
+    arguments.push(option("--out=", &file));
     let answers = Value::Object(form.answers).to_string().into_bytes();
-    let answer = jobs.ask(arguments.into(), answers, SHORT).await?;
+    let answer = jobs.ask(arguments, answers, SHORT).await?;
     match answer.failure {
         None => Ok(Json(answer.value)),
         Some((fact, hint)) => Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(hint)),

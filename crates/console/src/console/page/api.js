@@ -74,15 +74,15 @@ const MOST_QUESTIONS = 3;
 const questions = new Set();
 const turns = [];
 
-/** A question, in its turn. */
-async function inTurn(send, signal) {
+/** A question, in its turn; `read` makes what is asked for of the answer. */
+async function inTurn(send, signal, read = answer) {
   while (questions.size >= MOST_QUESTIONS) await new Promise((turn) => turns.push(turn));
   const mine = new AbortController();
   if (signal?.aborted) mine.abort();
   signal?.addEventListener("abort", () => mine.abort());
   questions.add(mine);
   try {
-    return await answer(send(mine.signal));
+    return await read(send(mine.signal));
   } finally {
     questions.delete(mine);
     turns.shift()?.();
@@ -92,6 +92,15 @@ async function inTurn(send, signal) {
 /** Reads an address. */
 export function ask(address, signal) {
   return inTurn((until) => fetch(address, { signal: until, cache: "no-store" }), signal);
+}
+
+/** Reads a picture as a blob; null where there is none. */
+export function askPicture(address) {
+  const read = async (request) => {
+    const response = await request;
+    return response.ok ? response.blob() : null;
+  };
+  return inTurn((until) => fetch(address, { signal: until }), undefined, read);
 }
 
 /** A question that takes a form, such as a dry run. */

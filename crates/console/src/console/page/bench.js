@@ -63,7 +63,7 @@ export function startBench(view) {
 }
 
 function connectionPanel() {
-  const button = h("button", { type: "button", class: "primary" }, "Connect");
+  const button = h("button", { type: "button", class: "primary", title: "Opens camera and stage; a capture takes them over by itself" }, "Connect");
   const status = h("p", { role: "status" });
   const error = h("p", { class: "error", role: "alert" });
   button.addEventListener("click", () => attempt(state.bench?.connected ? "api/bench/disconnect" : "api/bench/connect"));
@@ -126,8 +126,8 @@ function settingsPanel() {
 function stagePanel() {
   const azimuth = h("input", { type: "number", min: "-180", max: "360", step: "any", inputmode: "decimal", required: true });
   const elevation = h("input", { type: "number", min: "0", max: "90", step: "any", inputmode: "decimal", required: true });
-  const go = h("button", { type: "submit" }, "Move");
-  const home = h("button", { type: "button", onclick: () => attempt("api/bench/home") }, "Home");
+  const go = h("button", { type: "submit", title: "Moves the lamp to this direction" }, "Move");
+  const home = h("button", { type: "button", title: "Moves the stage to its reference, so that its position is known", onclick: () => attempt("api/bench/home") }, "Home");
   const form = h("form", { class: "row" }, field("Azimuth, °", azimuth), field("Elevation, °", elevation), go, home);
   const list = h("dl", { class: "facts" });
   const map = hemisphere("Directions the lamp can move to. Arrow keys aim in steps of 5°, with Shift 1°; Enter moves there", {
@@ -186,7 +186,7 @@ function lampPanel() {
     const bench = state.bench;
     const channels = state.console?.rig?.channels ?? [];
     element.hidden = state.console?.mode === "camera" || channels.length === 0;
-    redraw(buttons, channels, () => channels.map((name, i) => h("button", { type: "button", class: "toggle", onclick: () => light(i) }, name)));
+    redraw(buttons, channels, () => channels.map((name, i) => h("button", { type: "button", class: "toggle", title: `Lights the ${name} lamp, or puts it out`, onclick: () => light(i) }, name)));
     const lit = bench?.stage?.lamp ?? null;
     const off = notReady(reason);
     [...buttons.children].forEach((button, i) => {

@@ -43,11 +43,13 @@ export function redraw(element, key, children) {
   element.replaceChildren(...children().filter((child) => child !== null));
 }
 
-/** Disables a control with a reason, or enables it if there is none. */
+/** Disables a control with a reason, which takes the place of its tooltip, or enables it if there is none. */
 export function gate(control, reason) {
   const blocked = Boolean(reason);
   if (control.disabled !== blocked) control.disabled = blocked;
-  if (blocked) control.title = reason;
+  control.dataset.about ??= control.title;
+  const title = blocked ? reason : control.dataset.about;
+  if (title) control.title = title;
   else control.removeAttribute("title");
 }
 

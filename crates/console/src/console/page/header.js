@@ -2,9 +2,10 @@
 
 import { Refused, act, giveUpQuestions, viewer } from "./api.js";
 import { by, gate, say } from "./dom.js";
-import { span } from "./format.js";
+import { short, span } from "./format.js";
 import { announce, complain } from "./notices.js";
 import { link, state, watch } from "./stream.js";
+import { verdictWords } from "./verdict.js";
 
 const PING_MS = 5000;
 /** A page that controls and was silent for longer is replaced by whoever acts. */
@@ -69,8 +70,27 @@ function showRig() {
   if (!rig) return;
   say(by("rig-name"), rig.name);
   by("simulated").hidden = !rig.simulated;
-  document.title = `${rig.name} – rig console`;
+  showTitle();
   document.body.classList.toggle("camera-alone", state.console.mode === "camera");
+}
+
+/** What a tab in the background has to tell: how far it is, and what it came to. */
+function showTitle() {
+  const { console: desk, job, capture } = state;
+  if (!desk?.rig) return;
+  const isCapture = job?.kind === "capture";
+  const share = isCapture && capture?.state !== "fitting" ? capture?.done : job?.progress?.done;
+  const sample = short((isCapture ? capture?.sample : job?.session) ?? "");
+  const verdict = (isCapture ? capture?.verdict : job?.verdict) ?? null;
+  const at = Number.isFinite(share) ? `${Math.floor(100 * share)} %` : null;
+  const is = working()
+    ? [job.state === "paused" ? "paused" : null, at, isCapture && capture?.state !== "fitting" ? null : job.kind === "export" ? "export" : "fit"]
+    : job?.state && (isCapture || job.kind === "fit")
+      ? [job.state === "done" ? (verdict ? verdictWords(verdict) : "done") : job.state]
+      : [];
+  const parts = [is.filter(Boolean).join(" "), is.length ? sample : null, `${desk.rig.name} – rig console`];
+  const title = parts.filter(Boolean).join(" · ");
+  if (document.title !== title) document.title = title;
 }
 
 function showLink() {
@@ -107,6 +127,7 @@ export function startHeader() {
     if (await attempt(address)) announce(address.endsWith("take") ? "This page controls the bench" : "Control released");
   });
   watch(["console"], showRig);
+  watch(["job", "capture"], showTitle);
   watch(["console", "control"], showControl);
   watch(["link"], showLink);
   setInterval(() => {

@@ -10,11 +10,11 @@ import { link, state, watch } from "./stream.js";
 const TREND = 80;
 const INTERVAL_MS = 250;
 const MARKS = [
-  ["marks", "Saturation", true],
-  ["peaking", "Focus peaking", false],
-  ["outline", "Outline", true],
-  ["cross", "Centre cross", false],
-  ["zoom", "Zoom 3×", false],
+  ["marks", "Saturation", true, "Marks pixels that are saturated"],
+  ["peaking", "Focus peaking", false, "Marks sharp edges, to focus by"],
+  ["outline", "Outline", true, "Where the rig file has the sample in the image"],
+  ["cross", "Centre cross", false, "The centre of the image"],
+  ["zoom", "Zoom 3×", false, "Three times as large; scroll to look around"],
 ];
 
 /** The panels of the picture, and of what is measured in it. */
@@ -25,7 +25,7 @@ export function livePanels() {
   const empty = h("p", { class: "empty" });
   const stage = h("div", { class: "picture", tabindex: "0", role: "group", "aria-label": "Live picture" }, h("div", { class: "sheet" }, view.element, overlay), empty);
   const stale = h("p", { class: "age", role: "status" });
-  const toggles = MARKS.map(([name, label]) => toggle(name, label, on, apply));
+  const toggles = MARKS.map(([name, label, , about]) => toggle(name, label, about, on, apply));
   const pictureElement = panel("Live picture", { class: "wide-picture" }, h("div", { class: "toggles" }, toggles), stage, stale);
 
   const { element: figuresElement, show: showFigures, reset } = figurePanels();
@@ -74,7 +74,7 @@ export function livePanels() {
       reset();
     }
     view.look(looking && connected);
-    say(empty, connected ? (figures ? "" : "Waiting for the first frame …") : "The camera is not connected.");
+    say(empty, connected ? (figures ? "" : state.console?.rig?.simulated ? "Waiting for the simulation’s first frame …" : "Waiting for the first frame …") : "The camera is not connected.");
     if (figures && figures.number !== number) {
       number = figures.number;
       numberAt = performance.now();
@@ -90,7 +90,9 @@ export function livePanels() {
     const age_s = (performance.now() - numberAt) / 1000;
     const old = figures && (age_s > 3 + 2 * (figures.exposure_s ?? 0) || link().kind !== "live");
     stage.classList.toggle("stale", Boolean(old));
-    say(stale, old ? `STALE: no new frame for ${span(age_s)}` : "");
+    // A new direction of the light is rendered before its first frame.
+    const rendering = state.console?.rig?.simulated && link().kind === "live";
+    say(stale, !old ? "" : rendering ? `Waiting for the simulation, which renders this light: the picture is ${span(age_s)} old` : `STALE: no new frame for ${span(age_s)}`);
   }
 
   apply();
@@ -106,8 +108,8 @@ export function livePanels() {
   };
 }
 
-function toggle(name, label, on, apply) {
-  const button = h("button", { type: "button", class: "toggle", "aria-pressed": String(on.get(name)) }, label);
+function toggle(name, label, about, on, apply) {
+  const button = h("button", { type: "button", class: "toggle", title: about, "aria-pressed": String(on.get(name)) }, label);
   button.addEventListener("click", () => {
     on.set(name, !on.get(name));
     localStorage.setItem(`rig-${name}`, String(on.get(name)));

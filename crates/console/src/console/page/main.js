@@ -7,6 +7,7 @@ import { by } from "./dom.js";
 import { startHeader } from "./header.js";
 import { startSessions } from "./sessions.js";
 import { startSetup } from "./setup.js";
+import { startShortcuts } from "./shortcuts.js";
 import { open, state, watch } from "./stream.js";
 
 const VIEWS = ["bench", "capture", "sessions", "setup"];
@@ -48,6 +49,7 @@ function chooseFirst() {
 
 async function start() {
   startHeader();
+  startShortcuts();
   shown.bench = startBench(by("view-bench"));
   shown.capture = startCapture(by("view-capture"));
   shown.sessions = startSessions(by("view-sessions"));

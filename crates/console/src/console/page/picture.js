@@ -1,6 +1,7 @@
 // A picture that is replaced by newer ones: without a flash, one request at a time, the
 // newest alone, and none while nobody looks.
 
+import { askPicture } from "./api.js";
 import { h } from "./dom.js";
 
 const GIVE_UP_MS = 10000;
@@ -95,4 +96,42 @@ export function picture(alt, address, interval_ms) {
       onshown = f;
     },
   };
+}
+
+/** One after another, so that other questions have their turn too. */
+let turn = Promise.resolve();
+
+/** What is about to scroll into view is loaded. */
+const near = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    if (!isIntersecting) continue;
+    near.unobserve(target);
+    turn = turn.then(() => load(target));
+  }
+}, { rootMargin: "600px" });
+
+async function load(image) {
+  // Its view was left meanwhile.
+  if (!image.isConnected) return;
+  try {
+    const blob = await askPicture(image.dataset.from);
+    if (!blob) return;
+    const url = URL.createObjectURL(blob);
+    image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
+    image.src = url;
+    image.classList.add("there");
+  } catch {
+    // STOP gives it up, and so does a console that does not answer.
+    setTimeout(() => near.observe(image), RETRY_MS);
+  }
+}
+
+/**
+ * A picture that the console may take seconds to make. Those of a page wait for each other,
+ * so that they never hold all the connections that a browser opens: STOP needs one.
+ */
+export function slowPicture(from, about) {
+  const image = h("img", { ...about, "data-from": from });
+  near.observe(image);
+  return image;
 }

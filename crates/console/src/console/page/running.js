@@ -76,10 +76,10 @@ function progressPanel(onleave) {
   const list = h("dl", { class: "facts across" });
   const why = h("p", { class: "why" });
   const command = (label, address, about = {}) => h("button", { type: "button", ...about, onclick: () => attempt(`api/capture/${address}`) }, label);
-  const pause = command("Pause", "pause", { id: "pause" });
+  const pause = command("Pause", "pause", { id: "pause", title: "Lamp off, stage standing, until continued" });
   const goOn = command("Continue", "continue", { id: "continue", class: "primary" });
-  const finish = command("Stop after this frame", "finish", { id: "finish" });
-  const halt = command("STOP now", "stop", { id: "stop-now", class: "danger" });
+  const finish = command("Stop after this frame", "finish", { id: "finish", title: "Keeps what is captured; it can be resumed" });
+  const halt = command("STOP now", "stop", { id: "stop-now", class: "danger", title: "Ends motion, light and capture at once; it can be resumed" });
   const resumes = resumeButtons("resume", () => sessionName(state.capture?.session));
   const open = h("a", { class: "button primary", id: "open-session" }, "Open the session");
   const next = h("button", { type: "button", id: "next", onclick: onleave }, "New capture");

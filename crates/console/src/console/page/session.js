@@ -1,22 +1,17 @@
-// One session: verdict, report, pictures, its fits, fit again, export.
+// One session: verdict, report, pictures, its fits.
 
 import { ask } from "./api.js";
-import { facts, field, gate, h, panel, redraw, say } from "./dom.js";
+import { facts, h, panel, redraw } from "./dom.js";
 import { short, when } from "./format.js";
-import { attempt, blocked, capturing } from "./header.js";
-import { announce, complain } from "./notices.js";
+import { complain } from "./notices.js";
+import { slowPicture } from "./picture.js";
 import { resumeButtons } from "./running.js";
-import { state, watch } from "./stream.js";
-import { badge, latest, quality } from "./verdict.js";
+import { badge, done, latest, quality, sessionBadge } from "./verdict.js";
+import { workPanel } from "./work.js";
 
 /** The address of a file of a session. */
 export function fileOf(session, file) {
   return `sessions/${encodeURIComponent(session)}/${file.split("/").map(encodeURIComponent).join("/")}`;
-}
-
-/** The name of the file at an address. */
-function nameOf(address) {
-  return decodeURIComponent(address.split("/").pop());
 }
 
 /** Pictures with captions. A click opens one in full. */
@@ -25,7 +20,7 @@ export function gallery(session, pictures, kind = "") {
     "div",
     { class: `gallery ${kind}` },
     pictures.map(({ name, caption }) =>
-      h("figure", {}, h("a", { href: fileOf(session, name), target: "_blank", rel: "noopener" }, h("img", { src: fileOf(session, name), alt: caption, loading: "lazy", class: "pixels there" })), h("figcaption", {}, caption)),
+      h("figure", {}, h("a", { href: fileOf(session, name), target: "_blank", rel: "noopener" }, slowPicture(fileOf(session, name), { alt: caption, class: "pixels" })), h("figcaption", {}, caption)),
     ),
   );
 }
@@ -61,12 +56,15 @@ export function sessionPart() {
 
 function details(session) {
   const fit = latest(session);
-  const report = session.report ? fileOf(session.name, "report.html") : null;
+  const of = session.report_fit ?? null;
+  // Another report has another address, so that no older one is shown.
+  const report = session.report ? `${fileOf(session.name, "report.html")}?fit=${of ?? ""}` : null;
+  const old = report && of !== null && fit && of !== fit.name ? `The report shows fit ${of}; the latest is fit ${fit.name}. A new fit writes the report anew, and so does “rig report” at the terminal.` : null;
   const resumes = resumeButtons("resume-session", () => session.name, () => (location.hash = "#capture"));
   const list = h("dl", { class: "facts across" });
   facts(list, [
     ["Captured", session.began ? when(session.began) : null],
-    ["Lights", session.error ? null : String(session.lights)],
+    ["Lights", session.error ? null : done(session)],
     ["Bench", session.simulated ? "simulated" : null],
     ["True material", short(session.material) ?? null],
     ["Latest fit", quality(fit)],
@@ -77,22 +75,29 @@ function details(session) {
       "section",
       { class: "panel" },
       h("h3", { class: "headline" }, short(session.sample) || session.name),
-      h("p", { class: "verdict" }, badge(fit), " ", fit?.verdict_text ? `${fit.verdict_text}.` : "This session has not been fitted."),
+      h("p", { class: "verdict" }, sessionBadge(session), " ", verdictText(session, fit)),
       list,
       session.error ? h("p", { class: "error" }, `${session.error.error}${session.error.hint ? ` – ${session.error.hint}` : ""}`) : null,
       session.warnings?.length ? warningList(session.warnings) : null,
       h(
         "div",
         { class: "row" },
-        report ? h("a", { class: "button primary", id: "report", href: report, target: "_blank", rel: "noopener" }, "Open the report") : null,
+        report ? h("a", { class: "button primary", id: "report", href: report, target: "_blank", rel: "noopener" }, of === null ? "Open the report" : `Open the report of fit ${of}`) : null,
         ...(session.complete || session.error ? [] : resumes),
       ),
+      old ? h("p", { class: "warn" }, old) : null,
       report ? reportFrame(report) : null,
     ),
     ...(session.validation ? [validationPanel(session.name, session.validation)] : []),
     ...(session.pictures?.length ? [panel("Pictures", {}, gallery(session.name, session.pictures))] : []),
     ...[...(session.fits ?? [])].reverse().map((one, i) => fitPanel(session.name, one, i === 0)),
   ];
+}
+
+function verdictText(session, fit) {
+  if (session.error) return "";
+  if (!session.complete) return `The capture is not complete: ${done(session)} are captured. Resume it to measure the others.`;
+  return fit?.verdict_text ? `${fit.verdict_text}.` : "This session has not been fitted.";
 }
 
 /** Errors and pictures of images that a fit had not seen. */
@@ -122,7 +127,7 @@ function reportFrame(address) {
 
 function fitPanel(session, fit, first) {
   const settings = h("dl", { class: "facts" });
-  facts(settings, [["Dictionary", fit.dictionary ?? null], ...Object.entries(fit.settings ?? {}).map(([key, value]) => [key.replaceAll("_", " "), String(value)])]);
+  facts(settings, Object.entries(fit.settings ?? {}));
   return h(
     "details",
     { class: "panel fit", open: first },
@@ -132,97 +137,4 @@ function fitPanel(session, fit, first) {
     fit.pictures?.length ? gallery(session, fit.pictures) : null,
     h("details", {}, h("summary", {}, "Settings"), settings),
   );
-}
-
-/** Fit again and export, with progress. */
-function workPanel() {
-  let session = null;
-  // Fit again.
-  const dictionary = h("select", { id: "dictionary" }, [["", "rig65 (the default)"], ["rig26", "rig26, three times as fast"], ["paper42", "paper42, the paper's"]].map(([value, label]) => h("option", { value }, label)));
-  const error = h("input", { type: "number", id: "model-error", min: "0", max: "1", step: "any", placeholder: "0.02", inputmode: "decimal" });
-  const refine = h("input", { type: "checkbox" });
-  const shared = h("input", { type: "checkbox" });
-  const fit = h("button", { type: "submit", id: "fit-again" }, "Fit again");
-  const fitForm = h(
-    "form",
-    { class: "stack-form" },
-    field("Dictionary", dictionary),
-    field("Relative error of the model", error),
-    h("label", { class: "choice" }, refine, h("span", {}, "refine light directions, intensities and pose")),
-    h("label", { class: "choice" }, shared, h("span", {}, "the same weights for all channels")),
-    fit,
-  );
-  fitForm.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    const body = {};
-    if (dictionary.value) body.dictionary = dictionary.value;
-    if (error.value !== "") body.model_error = error.valueAsNumber;
-    if (refine.checked) body.refine_bench = true;
-    if (shared.checked) body.shared_weights = true;
-    if (await attempt(`api/sessions/${encodeURIComponent(session.name)}/fit`, body)) announce("The fit has started");
-  });
-  // Export.
-  const which = h("select", { id: "export-fit" });
-  const format = h("select", { id: "export-format" });
-  const write = h("button", { type: "submit", id: "export" }, "Export");
-  const exportForm = h("form", { class: "stack-form" }, field("Fit", which), field("Format", format), write);
-  exportForm.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    await attempt(`api/sessions/${encodeURIComponent(session.name)}/export`, { fit: which.value, format: format.value });
-  });
-  // Progress of either.
-  const status = h("p", { role: "status" });
-  const bar = h("progress", { max: "1", "aria-label": "Progress" });
-  const download = h("a", { class: "button primary", id: "download", download: true }, "Download");
-  const log = h("pre", { class: "log", tabindex: "0", "aria-label": "Log" });
-  const logBox = h("details", {}, h("summary", {}, "What the program says"), log);
-  const halt = h("button", { type: "button", id: "stop-job", onclick: () => attempt("api/jobs/stop") }, "Stop this job");
-  const more = h("div", { class: "row" });
-  const progress = h("div", { class: "panel work" }, status, bar, halt, download, more, logBox);
-  const why = h("p", { class: "why" });
-  const element = h("div", { class: "stack" }, progress, why, h("div", { class: "two" }, panel("Fit again", {}, fitForm), panel("Export", {}, exportForm)));
-
-  function show(shown) {
-    if (shown) session = shown;
-    element.hidden = session === null;
-    if (session === null) return;
-    const fits = [...(session.fits ?? [])].reverse();
-    redraw(which, fits.map((one) => one.name), () => fits.map((one) => h("option", { value: one.name }, `fit ${one.name}, ${one.dictionary ?? ""}`)));
-    const formats = state.console?.formats ?? [];
-    redraw(format, formats.map(([name]) => name), () => formats.map(([value, about]) => h("option", { value }, `${value}: ${about}`)));
-    const job = state.job;
-    for (const resume of document.querySelectorAll("[id^=resume-session]")) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
-    const busy = job && ["running", "paused", "ending"].includes(job.state) ? `A ${job.kind} is running.` : null;
-    const reason = blocked() ?? busy;
-    gate(fit, reason ?? (session.complete ? null : "The session is not complete."));
-    gate(write, reason ?? (fits.length ? null : "There is no fit to export."));
-    say(why, reason ?? "");
-    showJob(job);
-  }
-
-  function showJob(job) {
-    const mine = job && ["fit", "export"].includes(job.kind) && job.session === session.name;
-    progress.hidden = !mine;
-    if (!mine) return;
-    const running = job.state === "running";
-    const stage = job.progress?.stage ? `: ${job.progress.stage}` : "";
-    const name = job.kind === "fit" ? "Fit" : "Export";
-    say(status, running ? `${name}${stage} …` : job.state === "done" ? `${name} done.` : `${name} ${job.state}.`);
-    bar.hidden = !running;
-    halt.hidden = !running;
-    if (Number.isFinite(job.progress?.done)) bar.value = job.progress.done;
-    else bar.removeAttribute("value");
-    download.hidden = !(job.kind === "export" && job.state === "done" && job.download);
-    if (!download.hidden) {
-      download.setAttribute("href", job.download);
-      say(download, `Download ${nameOf(job.download)}`);
-    }
-    const others = download.hidden ? [] : (job.downloads ?? []).slice(1);
-    redraw(more, others, () => others.map((address) => h("a", { class: "button", href: address, download: true }, `Download ${nameOf(address)}`)));
-    say(log, (job.log ?? []).join("\n"));
-    logBox.open ||= job.state === "failed";
-  }
-  watch(["job", "control", "link"], () => show(null));
-  show(null);
-  return { element, show };
 }

@@ -2,9 +2,22 @@
 
 import { act, ask } from "./api.js";
 import { copyButton, gate, h, panel, say } from "./dom.js";
+import { drawing } from "./drawings.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
 import { state, watch } from "./stream.js";
+
+const SIMULATED = "rig console --rig simulated.toml";
+/** The parts of a bench in the order of their questions: id, heading, and which keys belong to it. */
+const SECTIONS = [
+  ["name", "Name", /^name$/],
+  ["camera", "Camera", /^(camera|camera_address|width_px|height_px|bit_depth|mosaic)$/],
+  ["lens", "Lens", /^(lens|field_width_mm|focal_mm|pixel_um|f_number|camera_distance_mm|housing.*)$/],
+  ["sample", "Sample", /^(sample_|groove_|mesh_)/],
+  ["stage", "Stage", /^(stage|port|lamp_distance_mm|lights|dmx_first|mechanism|azimuth_|elevation_|[xy]_|first_|second_)/],
+  ["lamp", "Lamp", /^(lamp$|grbl_|zaber_|warm_up_s)/],
+  ["more", "More", /./],
+];
 
 /** Builds the view; the returned function shows and hides it. */
 export function startSetup(view) {
@@ -19,11 +32,18 @@ export function startSetup(view) {
     h(
       "div",
       { class: "stack narrow" },
-      panel("A rig file of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file, and never replaces one that is there."), form),
+      panel(
+        "The simulated bench",
+        {},
+        h("p", {}, "To try everything without devices, nothing has to be set up: this command starts a console on the simulated bench."),
+        h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, SIMULATED), copyButton(() => SIMULATED, SIMULATED)),
+      ),
+      panel("A bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name, and no file is ever replaced."), form),
       result,
     ),
   );
   let asked = [];
+  let boxes = new Map();
   let loaded = false;
 
   async function load(anew) {
@@ -33,7 +53,8 @@ export function startSetup(view) {
     try {
       const given = answers();
       asked = await ask("api/setup");
-      questions.replaceChildren(...asked.map((question) => entry(question, given[question.key])));
+      boxes = new Map(asked.map((question) => [question.key, entry(question, given[question.key])]));
+      questions.replaceChildren(...sections(boxes));
       arrange();
     } catch (failure) {
       loaded = false;
@@ -65,8 +86,8 @@ export function startSetup(view) {
 
   /** Shows the questions that are asked, and the field for another value. */
   function arrange() {
-    asked.forEach((question, i) => {
-      const box = questions.children[i];
+    asked.forEach((question) => {
+      const box = boxes.get(question.key);
       const on = isAsked(question);
       box.hidden = !on;
       for (const input of box.querySelectorAll("input, select")) input.disabled = !on;
@@ -75,7 +96,11 @@ export function startSetup(view) {
         other.hidden = form.elements[`q-${question.key}`].value !== "";
         other.querySelector("input").disabled = !on || other.hidden;
       }
+      const choice = form.elements[`q-${question.when?.key}`]?.value;
+      box.querySelector(".help")?.replaceChildren(...sentences(question.help, choice));
     });
+    // A part of which nothing is asked has no heading.
+    for (const section of questions.children) section.hidden = [...section.querySelectorAll(".question")].every((box) => box.hidden);
   }
 
   form.addEventListener("input", arrange);
@@ -105,10 +130,32 @@ export function startSetup(view) {
   };
 }
 
+/** The questions by the parts of a bench, each part with a drawing. */
+function sections(boxes) {
+  const left = new Map(boxes);
+  return SECTIONS.flatMap(([part, title, keys]) => {
+    const mine = [...left].filter(([key]) => keys.test(key));
+    for (const [key] of mine) left.delete(key);
+    if (mine.length === 0) return [];
+    return [h("section", { class: "part", "aria-labelledby": `part-${part}` }, h("h4", { id: `part-${part}` }, title), drawing(part), h("div", { class: "entries" }, mine.map(([, box]) => box)))];
+  });
+}
+
+/**
+ * An explanation as sentences, with what is typed as code. Where it has a part for each answer
+ * to another question ("v4l: …; folder: …"), only that of the answer `choice` stays.
+ */
+function sentences(help, choice) {
+  const parts = help.split(/;\s+(?=[\w.-]+: )/).map((part) => part.match(/^([\w.-]+): ([\s\S]*)$/));
+  const mine = parts.length > 1 && parts.every(Boolean) ? parts.find(([, name]) => name === choice)?.[2] : null;
+  const words = capital(mine ?? help).replace(/\.$/, "");
+  return `${words}.`.split("`").map((piece, i) => (i % 2 ? h("code", {}, piece) : piece));
+}
+
 /** A question with its control, its help and its unit. */
 function entry(question, given) {
   const id = `q-${question.key}`;
-  const help = question.help ? h("p", { class: "fine", id: `${id}-help` }, `${capital(question.help).replace(/\.$/, "")}.`) : null;
+  const help = question.help ? h("p", { class: "fine help", id: `${id}-help` }, sentences(question.help)) : null;
   const about = { id, name: id, "aria-describedby": help ? `${id}-help` : null };
   const value = given ?? question.default ?? null;
   const limits = Number.isFinite(question.least) && Number.isFinite(question.most) ? `, ${question.least} to ${question.most}` : "";
@@ -140,11 +187,13 @@ function control(question, about, value) {
 
 /** The file that was written, and what comes next, in order. */
 function done(file, steps) {
+  const start = `rig console --rig ${file}`;
   return panel(
     "Written",
     {},
     h("p", {}, h("code", {}, file)),
-    h("p", {}, `This console still works with ${state.console?.rig?.file ?? "the rig that it began with"}: end it (Ctrl-C at its terminal) and start rig console again to use the new file.`),
+    h("p", {}, `This console still works with ${state.console?.rig?.file ?? "the rig that it began with"}. To use the new file, end it (Ctrl-C at its terminal) and start it by`),
+    h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, start), copyButton(() => start, start)),
     h("h4", {}, "What to calibrate next, in this order"),
     h("ol", { class: "steps" }, steps.map(({ command, purpose }) => h("li", {}, purpose ? h("p", {}, capital(purpose)) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, command), copyButton(() => command, command))))),
   );

@@ -9,6 +9,11 @@ const VERDICTS = {
   "not-to-be-trusted": ["✗", "not to be trusted"],
 };
 
+/** A verdict with its sign, as text. */
+export function verdictWords(verdict) {
+  return (VERDICTS[verdict] ?? ["?", verdict]).join(" ");
+}
+
 /** A verdict as a badge; a sign and words, not its colour alone. */
 export function badge(fit) {
   if (!fit) return h("span", { class: "badge none" }, "no fit");
@@ -27,4 +32,17 @@ export function quality(fit) {
   const chi2 = Number.isFinite(fit.chi2) ? `χ² ${digits(fit.chi2, 3)}` : null;
   const error = Number.isFinite(fit.environment_error) ? `error ${digits(100 * fit.environment_error, 2)} %` : null;
   return [chi2, error].filter(Boolean).join(", ") || "–";
+}
+
+/** How many of a session's lights are captured. */
+export function done(session) {
+  const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
+  return session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights}`;
+}
+
+/** Its latest fit's verdict, or how far it came. */
+export function sessionBadge(session) {
+  if (session.error) return h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read");
+  if (!session.complete) return h("span", { class: "badge incomplete", title: "The capture is not complete; it can be resumed." }, done(session));
+  return badge(latest(session));
 }

@@ -34,7 +34,11 @@ const FILES: &[(&str, &str)] = files![
     "sessions.js",
     "session.js",
     "compare.js",
+    "curves.js",
+    "work.js",
+    "shortcuts.js",
     "setup.js",
+    "drawings.js",
     "verdict.js",
     "reach.js",
 ];
