@@ -10,39 +10,13 @@ use crate::progress::Progress;
 use crate::session::fit_record::{FitRecord, Warning};
 use crate::workflow::{Notice, Observer};
 
-/// Phases of a fit, and of a prediction after it, as the library names them, and the part of its time that is over when each
-/// begins; a first, quick solution comes before the one on all paths.
-const PHASES: [(&str, f64); 11] = [
-    ("direct reflection", 0.0),
-    ("tracing paths", 0.06),
-    ("optimising", 0.14),
-    ("direct reflection", 0.18),
-    ("tracing paths", 0.18),
-    ("optimising", 0.6),
-    ("uncertainty", 0.74),
-    ("diagnosis", 0.88),
-    ("scoring", 0.9),
-    ("longer paths", 0.96),
-    ("predicting", 0.98),
-];
-/// Part of the time that the rounds of a refinement take, and their number until it settles,
-/// usually.
-const ROUNDS_PART: f64 = 0.85;
-const USUAL_ROUNDS: f64 = 6.0;
-
 /// A bar that follows a fit's phases, with the notices in between.
 pub struct FitProgress<'a> {
     context: &'a Context,
     lines: Option<&'a EventLines>,
     bar: StagedBar,
-    reached: Mutex<Reached>,
-}
-
-#[derive(Default)]
-struct Reached {
-    refines_bench: bool,
-    rounds: u32,
-    next: usize,
+    /// Part of the whole that is over, as last reported.
+    over: Mutex<f64>,
 }
 
 impl<'a> FitProgress<'a> {
@@ -52,7 +26,7 @@ impl<'a> FitProgress<'a> {
             context,
             lines,
             bar: context.staged_bar(),
-            reached: Mutex::default(),
+            over: Mutex::default(),
         }
     }
 
@@ -70,33 +44,9 @@ impl<'a> FitProgress<'a> {
     }
 }
 
-impl Reached {
-    /// The part of the fit's time that is over when `phase` begins.
-    fn part_over(&mut self, phase: &str) -> f64 {
-        let ahead = PHASES[self.next..]
-            .iter()
-            .position(|(name, _)| *name == phase);
-        let Some(ahead) = ahead else {
-            // A round of the refinement: each takes some of what is left.
-            self.rounds += 1;
-            let over = f64::from(self.rounds - 1) / USUAL_ROUNDS;
-            return ROUNDS_PART * (1.0 - (-over).exp());
-        };
-        self.next += ahead;
-        let (_, over) = PHASES[self.next];
-        self.next += 1;
-        if self.refines_bench {
-            ROUNDS_PART + (1.0 - ROUNDS_PART) * over
-        } else {
-            over
-        }
-    }
-}
-
 impl Progress for FitProgress<'_> {
     fn begin(&self, phase: &str, _: Option<usize>) {
-        let mut reached = self.reached.lock().unwrap_or_else(PoisonError::into_inner);
-        let done = reached.part_over(phase);
+        let done = *self.over.lock().unwrap_or_else(PoisonError::into_inner);
         self.bar.at(phase, done);
         if let Some(lines) = self.lines {
             lines.send(&capture::Progress::Fit {
@@ -109,10 +59,10 @@ impl Progress for FitProgress<'_> {
 
 impl Observer for FitProgress<'_> {
     fn notice(&self, notice: Notice<'_>) {
-        if let Notice::Work(work) = notice {
-            let mut reached = self.reached.lock().unwrap_or_else(PoisonError::into_inner);
-            reached.refines_bench = work.refines_bench;
-        }
         self.context.notice(notice);
+    }
+
+    fn part_over(&self, part: f64) {
+        *self.over.lock().unwrap_or_else(PoisonError::into_inner) = part;
     }
 }

@@ -303,7 +303,7 @@ mod tests {
     fn a_mesh_says_how_it_is_taken() {
         let spec = |keys: &str| match sample(keys)?.surface {
             SurfaceSpec::Mesh(spec) => Ok::<_, ConfigError>(spec),
-            SurfaceSpec::Shape(_) => unreachable!(),
+            SurfaceSpec::Shape(_) | SurfaceSpec::Made(_) => unreachable!(),
         };
         let plain = spec("").unwrap();
         assert_eq!(plain, MeshSpec::of("scan.ply".into()));

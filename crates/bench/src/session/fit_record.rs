@@ -51,8 +51,8 @@ pub use budget::{BudgetRecord, BudgetRow};
 pub use find::{find, find_in_session};
 pub use folder::parse;
 pub use folder::{
-    check_folder, commit, decode, encode, next_folder, numbers_in, read, read_images, read_images_in,
-    read_in, write,
+    check_folder, commit, decode, encode, next_folder, numbers_in, read, read_images,
+    read_images_in, read_in, write,
 };
 pub(in crate::session) use folder::{commit_numbered, numbers_of, write_files};
 pub use posterior::PosteriorRecord;

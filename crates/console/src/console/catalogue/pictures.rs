@@ -11,9 +11,10 @@ use serde::Serialize;
 
 use super::served::FileError;
 use crate::beneath;
+use crate::brdf::Brdf;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::source;
-use crate::brdf::sphere::sphere_images;
+use crate::brdf::sphere::{GreyCard, sphere_images};
 use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
 use crate::plot::radiance::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
@@ -129,7 +130,7 @@ impl PictureOf {
                 "Light {light}: captured less rendered in R, G and B, full colour at ±{RESIDUAL_RANGE} standard deviations"
             ),
             Self::Spheres { .. } => {
-                "Spheres of the material under environment maps; below them the true material, where it is known".to_owned()
+                "Spheres of the material under environment maps; below them the true material, where it is known, and 18% grey".to_owned()
             }
         }
     }
@@ -217,13 +218,13 @@ fn spheres(session: &Session, fit: u32) -> Result<Picture, FileError> {
     let truth = truth.and_then(|name| source::load(name).ok());
     let brdfs: Vec<_> = std::iter::once(&*estimate)
         .chain(truth.as_deref())
+        .chain(std::iter::once(&GreyCard as &dyn Brdf))
         .collect();
     let images = sphere_images(&brdfs, &EnvironmentMap::all(), SPHERE_PX);
     let rows: Vec<Picture> = (0..brdfs.len())
         .map(|row| {
             let spheres = images.iter().map(|under| {
-                // The truth as bright as the estimate.
-                let exposure = under[0].natural_exposure();
+                let exposure = under[brdfs.len() - 1].neutral_exposure();
                 Picture::opaque(SPHERE_PX, under[row].to_srgb(exposure))
             });
             in_a_row(&spheres.collect::<Vec<_>>())

@@ -66,7 +66,7 @@ function details(session) {
     ["Captured", session.began ? when(session.began) : null],
     ["Lights", session.error ? null : done(session)],
     ["Bench", session.simulated ? "simulated" : null],
-    ["True material", short(session.material) ?? null],
+    ["True material", short(session.true_material) ?? null],
     ["Latest fit", quality(fit)],
     ["Folder", session.name],
   ]);

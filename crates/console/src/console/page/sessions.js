@@ -135,7 +135,7 @@ function listPart() {
 function known(session, fit) {
   return [
     session.complete ? done(session) : `${done(session)} captured`,
-    session.simulated ? `simulated${session.material ? `: ${short(session.material)}` : ""}` : null,
+    session.simulated ? `simulated${session.true_material ? `: ${short(session.true_material)}` : ""}` : null,
     session.suspect ? "the stage lost steps" : null,
     session.fits?.length > 1 ? `${session.fits.length} fits` : null,
     quality(fit) === "–" ? null : quality(fit),
