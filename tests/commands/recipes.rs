@@ -26,6 +26,8 @@ fn every_recipe_does_what_it_says() {
 
     let two = "atoms = [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }, { type = \"lambertian\", albedo = 1.0 }]";
     std::fs::write(home.path().join("two.toml"), two).unwrap();
+    let angles = "theta_i_deg,theta_o_deg,phi_deg\n45,45,180\n";
+    std::fs::write(home.path().join("angles.csv"), angles).unwrap();
     let blocks = blocks();
     assert!(blocks.len() >= 8, "{} blocks", blocks.len());
     for block in &blocks {

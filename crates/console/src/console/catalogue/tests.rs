@@ -56,7 +56,8 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     }
     // R, G and B of 6 pixels, each with a gap of 4.
     assert_eq!(sizes[1..], [(30, 4), (6, 4), (30, 4), (6, 4)]);
-    assert!(sizes[0].0 > 256 && sizes[0].1 == 2 * 132, "{sizes:?}");
+    // The material, the truth and 18% grey.
+    assert!(sizes[0].0 > 256 && sizes[0].1 == 3 * 132, "{sizes:?}");
     // The latest validation, with the picture that is a file.
     assert_eq!(detail["validation"], serde_json::Value::Null);
     let root = folder.path().join(&name);
