@@ -64,7 +64,11 @@ fn checksum(body: &[u8]) -> u8 {
 
 /// Reads a line, with or without its end.
 pub fn parse(line: &[u8]) -> Message {
-    let line = line.trim_ascii();
+    let mut line = line.trim_ascii_start();
+    // A space at the end may be a damaged digit of the checksum, and belongs to the line.
+    while let [rest @ .., b'\r' | b'\n'] = line {
+        line = rest;
+    }
     understood(line).unwrap_or_else(|| {
         let text = String::from_utf8_lossy(line);
         Message::Unknown(text.chars().take(LONGEST_LINE).collect())
@@ -234,6 +238,7 @@ mod tests {
             "@01 -1 OK IDLE -- 0",
             "!01 1 IDLE",
             "@01 0 OK IDLE -- \u{7f}",
+            "@01 0 OK IDLE WR 0:3 ",
         ] {
             assert!(
                 matches!(parse(line.as_bytes()), Message::Unknown(_)),
