@@ -263,7 +263,11 @@ mod tests {
         #[test]
         fn any_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
             for format in ALL {
-                prop_assert!(format.parse(&bytes, &Placement::default()).is_err());
+                // A binary STL whose count disagrees with its length is read, and bytes at random
+                // may be the coordinates of a facet.
+                if let Ok(mesh) = format.parse(&bytes, &Placement::default()) {
+                    prop_assert!(mesh.positions_mm.iter().all(|p| p.is_finite()));
+                }
             }
         }
 
