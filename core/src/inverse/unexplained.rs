@@ -13,8 +13,7 @@ use super::intervals::unexplained_deviation;
 use super::objective::{ModelImage, Modelled, Objective, ResidualWeights};
 use crate::brdf::discrepancy::{NODES, node_weights, nodes};
 use crate::transport::Scene;
-use crate::transport::direct::for_each_seen;
-use crate::transport::points::Sampler;
+use crate::transport::direct::for_each_lit;
 
 /// Rays per cell, square root: within a cell the angles hardly change.
 const STRATA: u32 = 2;
@@ -103,20 +102,15 @@ impl Seen {
         let none = || vec![OfNodes::none(); objective.groups()];
         let of_cell = |mut sums: Vec<OfNodes>, cell: usize| {
             let mut shares = vec![[0.0; NODES]; lights];
-            for_each_seen(
+            for_each_lit(
                 scene,
                 cells,
                 cell,
                 STRATA,
                 seed,
-                |surface, to_viewer, numbers| {
-                    for (light, shares) in shares.iter_mut().enumerate() {
-                        let Some(lamp) = scene.connect(surface, light, numbers.on_lamp()) else {
-                            continue;
-                        };
-                        for (node, part) in node_weights(lamp.to_light, to_viewer) {
-                            shares[node] += f64::from(lamp.irradiance) * f64::from(part);
-                        }
+                |light, lamp, to_viewer| {
+                    for (node, part) in node_weights(lamp.to_light, to_viewer) {
+                        shares[light][node] += f64::from(lamp.irradiance) * f64::from(part);
                     }
                 },
             );

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::cells::Cells;
 use super::event::LaneAtoms;
 use super::points::{Sampler, SobolSampler};
-use super::scene::{Scene, Surface};
+use super::scene::{Connection, Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
 
@@ -79,6 +79,32 @@ pub fn for_each_seen(
             each(&surface, to_viewer, &mut numbers);
         }
     }
+}
+
+/// Likewise, with each light that reaches the point: its number, how it arrives, and the direction to
+/// the viewer.
+pub fn for_each_lit(
+    scene: &Scene,
+    cells: &Cells,
+    cell: usize,
+    strata: u32,
+    seed: u64,
+    mut each: impl FnMut(usize, &Connection, Vec3),
+) {
+    for_each_seen(
+        scene,
+        cells,
+        cell,
+        strata,
+        seed,
+        |surface, to_viewer, numbers| {
+            for light in 0..scene.lights.len() {
+                if let Some(lamp) = scene.connect(surface, light, numbers.on_lamp()) {
+                    each(light, &lamp, to_viewer);
+                }
+            }
+        },
+    );
 }
 
 impl DirectMatrix {

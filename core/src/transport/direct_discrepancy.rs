@@ -5,8 +5,7 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::cells::Cells;
-use super::direct::for_each_seen;
-use super::points::Sampler;
+use super::direct::for_each_lit;
 use super::scene::Scene;
 use crate::brdf::Brdf;
 use crate::brdf::discrepancy::{Material, NODES, modes, node_weights};
@@ -111,31 +110,25 @@ fn sums_of(scene: &Scene, cells: &Cells, material: &Material, cell: usize, seed:
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];
-    for_each_seen(
+    for_each_lit(
         scene,
         cells,
         cell,
         STRATA,
         seed,
-        |surface, to_viewer, numbers| {
-            for light in 0..lights {
-                let u = numbers.on_lamp();
-                let Some(lamp) = scene.connect(surface, light, u) else {
-                    continue;
-                };
-                let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
-                let around = node_weights(lamp.to_light, to_viewer);
-                let sums = &mut sums[light * 3..light * 3 + 3];
-                for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
-                    let arriving = share * f64::from(lamp.irradiance);
-                    let of_mixture = arriving * f64::from(of_mixture);
-                    sum.of_mixture += of_mixture;
-                    for (node, part) in around {
-                        let factor = material.discrepancies[c].0[node].exp();
-                        let reflected = of_mixture * factor * f64::from(part);
-                        sum.reflected += reflected;
-                        sum.nodes[node] += reflected;
-                    }
+        |light, lamp, to_viewer| {
+            let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
+            let around = node_weights(lamp.to_light, to_viewer);
+            let sums = &mut sums[light * 3..light * 3 + 3];
+            for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
+                let arriving = share * f64::from(lamp.irradiance);
+                let of_mixture = arriving * f64::from(of_mixture);
+                sum.of_mixture += of_mixture;
+                for (node, part) in around {
+                    let factor = material.discrepancies[c].0[node].exp();
+                    let reflected = of_mixture * factor * f64::from(part);
+                    sum.reflected += reflected;
+                    sum.nodes[node] += reflected;
                 }
             }
         },
