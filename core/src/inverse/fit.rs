@@ -157,8 +157,8 @@ pub(super) fn fit_on_bench(
     let albedo = timings.time("uncertainty", || {
         let seed = options.cache.seed;
         let weights = &solved.residual_weights;
-        let seen = Seen::new(scene, &objective, &solved.pass.model, weights, seed);
-        posterior.be_physical(&seen, seed)
+        let seen = || Seen::new(scene, &objective, &solved.pass.model, weights, seed);
+        posterior.be_physical(seen, seed)
     });
     let Posterior {
         posterior_samples,

@@ -36,10 +36,11 @@ pub(super) struct Posterior {
 }
 
 impl Posterior {
-    /// Gives each sample its error that no dictionary explains, given what was `seen`, and its
-    /// scale, where that is open, and bounds samples and material by energy conservation. Returns the largest directional albedo that the
-    /// material had before, per channel.
-    pub fn be_physical(&mut self, seen: &Seen, seed: u64) -> [f64; 3] {
+    /// Gives each sample its error that no dictionary explains, given what is `seen`, which is asked
+    /// for unless there is nothing to do, and its scale, where that is open, and bounds samples and
+    /// material by energy conservation. Returns the largest directional albedo that the material had
+    /// before, per channel.
+    pub fn be_physical(&mut self, seen: impl FnOnce() -> Seen, seed: u64) -> [f64; 3] {
         if self.discrepancy == 0.0
             && self
                 .posterior_samples
@@ -51,7 +52,7 @@ impl Posterior {
         let energy = EnergyBound::new(self.material.mixture.dictionary());
         let (material, albedo) = energy.bound(&self.material);
         self.material = material;
-        let fields = discrepancy::standard_modes();
+        let (seen, fields) = (seen(), discrepancy::standard_modes());
         self.posterior_samples
             .par_iter_mut()
             .enumerate()
