@@ -14,7 +14,7 @@ use super::{
 use crate::brdf::fitted::{DISCREPANCY_FILE, WEIGHTS_FILE};
 use crate::file_system;
 use crate::outside_file::read_regular;
-use crate::radiance_image::exr;
+use crate::radiance_image::{RadianceImage, exr};
 use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionError, SessionWriter};
 use crate::shown::{self, MESSAGE, excerpt, shortened};
@@ -98,18 +98,12 @@ pub fn decode(files: &[(String, Vec<u8>)]) -> Result<(FitRecord, FitImages), Fit
             source: std::io::ErrorKind::NotFound.into(),
         }),
     })?;
-    let series = |kind: &str| {
-        (0..)
-            .map_while(|light| find(&image_name(kind, light)))
-            .map(|(name, bytes)| Ok(exr::decode(bytes, Path::new(name))?.image))
-            .collect::<Result<Vec<_>, FitRecordError>>()
-    };
-    let cells = find(CELLS_FILE).map(|(_, bytes)| String::from_utf8_lossy(bytes).into_owned());
-    let images = FitImages {
-        rendered: series("rendered")?,
-        residual: series("residual")?,
-        cells_csv: cells.unwrap_or_default(),
-    };
+    let mut images = images_by(|name| {
+        find(name).map(|(name, bytes)| Ok(exr::decode(bytes, Path::new(name))?.image))
+    })?;
+    if let Some((_, csv)) = find(CELLS_FILE) {
+        images.cells_csv = String::from_utf8_lossy(csv).into_owned();
+    }
     Ok((record, images))
 }
 
@@ -292,17 +286,10 @@ pub fn parse(
 /// # Errors
 /// An image that is there but cannot be read.
 pub fn read_images(folder: &Path) -> Result<FitImages, FitRecordError> {
-    let series = |kind: &str| {
-        (0..)
-            .map(|light| folder.join(image_name(kind, light)))
-            .take_while(|path| path.exists())
-            .map(|path| exr::read(&path).map(|file| file.image))
-            .collect::<Result<Vec<_>, _>>()
-    };
-    Ok(FitImages {
-        rendered: series("rendered")?,
-        residual: series("residual")?,
-        cells_csv: String::new(),
+    images_by(|name| {
+        let path = folder.join(name);
+        let read = || Ok(exr::read(&path)?.image);
+        path.exists().then(read)
     })
 }
 
@@ -311,15 +298,25 @@ pub fn read_images(folder: &Path) -> Result<FitImages, FitRecordError> {
 /// # Errors
 /// An image whose bytes are not the journalled ones, or that cannot be read.
 pub fn read_images_in(session: &Session, number: u32) -> Result<FitImages, FitRecordError> {
+    images_by(|name| {
+        let path = inside(number, name);
+        let read = || {
+            let file = session.open_file(&path)?;
+            Ok(exr::read_opened(file, &session.root().join(&path), None)?.image)
+        };
+        session.vouches_for(&path).then(read)
+    })
+}
+
+/// Images of the lights from the first to the one before that which `read` finds none of, by their
+/// files' names.
+fn images_by(
+    read: impl Fn(&str) -> Option<Result<RadianceImage, FitRecordError>>,
+) -> Result<FitImages, FitRecordError> {
     let series = |kind: &str| {
         (0..)
-            .map(|light| inside(number, &image_name(kind, light)))
-            .take_while(|path| session.vouches_for(path))
-            .map(|path| {
-                let file = session.open_file(&path)?;
-                Ok(exr::read_opened(file, &session.root().join(&path), None)?.image)
-            })
-            .collect::<Result<Vec<_>, FitRecordError>>()
+            .map_while(|light| read(&image_name(kind, light)))
+            .collect::<Result<Vec<_>, _>>()
     };
     Ok(FitImages {
         rendered: series("rendered")?,
