@@ -8,7 +8,8 @@ use super::pages::SessionPages;
 use super::served::FileError;
 use crate::brdf::Brdf;
 use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::score::environment_error;
+use crate::brdf::score::{image_error, summarise};
+use crate::brdf::sphere::sphere_images;
 use crate::catalogue::row::{self, read_fit};
 use crate::session::fit_record::AngleTable;
 use crate::session::fit_record::lookup::nearest_index;
@@ -110,15 +111,17 @@ impl SessionPages {
         };
         let read: Vec<(Arc<dyn Brdf>, AngleTable)> =
             fits.iter().map(read).collect::<Result<_, _>>()?;
+        let (brdfs, maps) = (read.iter().map(|(brdf, _)| &**brdf), EnvironmentMap::all());
+        let spheres = sphere_images(&brdfs.collect::<Vec<_>>(), &maps, SPHERE_PX);
         let mut pairs = Vec::new();
         for (of, reference) in read.iter().enumerate() {
             for (with, other) in read.iter().enumerate().skip(of + 1) {
-                let maps = EnvironmentMap::all();
-                let error = environment_error(&*other.0, &*reference.0, &maps, SPHERE_PX);
+                let errors = spheres.iter().map(|u| image_error(&u[with], &u[of]));
+                let errors: Vec<_> = errors.collect();
                 pairs.push(Pair {
                     of,
                     with,
-                    environment_error: error.mean.all,
+                    environment_error: summarise(&maps, &errors).mean.all,
                     in_uncertainties: in_uncertainties(&reference.1, &other.1),
                 });
             }

@@ -46,7 +46,7 @@ fn allowed(file: &str) -> Option<Allowed> {
     }
     let (folder, name) = file.rsplit_once('/')?;
     if folder == EXPORTS_FOLDER {
-        // The picture beside a material is shown next to its download.
+        // An export's picture is shown next to its download.
         let as_what = match name.ends_with(".png") {
             true => Allowed::File(PNG, Shown::Inline),
             false => Allowed::File(BYTES, Shown::Download),
