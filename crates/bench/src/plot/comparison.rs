@@ -20,9 +20,9 @@ const SHOWN_PART: f64 = 0.98;
 /// Where nothing is compared.
 const LEFT_OUT: [u8; 4] = [200, 200, 200, 255];
 
-/// Draws both images with the captured one's exposure, and predicted less captured, the mean of
-/// the channels over the radiance that is shown as white. Images of one size; shown is what lies
-/// around the pixels that are valid in `captured`, others are grey.
+/// Draws a captured image, its prediction in the same exposure, and predicted minus captured: the
+/// mean of the channels, relative to the radiance shown as white. Both images have one size. The
+/// figure is cropped to the pixels that are valid in `captured`; invalid ones inside are grey.
 pub fn comparison(name: &str, captured: &RadianceImage, predicted: &RadianceImage) -> Figure {
     const GAP_PX: f64 = 12.0;
     const TOP_PX: f64 = 26.0;

@@ -127,7 +127,8 @@ pub struct Validated {
     pub validation: Validation,
     /// The fit of a part of the lights.
     pub fit: FitRecord,
-    /// A picture (PNG) of each predicted light, by name: none in a build that draws no figures.
+    /// Per predicted light the name of a PNG file and its bytes: captured, predicted, difference.
+    /// Empty in a build without the feature `figures`.
     pub pictures: Vec<(String, Vec<u8>)>,
 }
 
@@ -219,7 +220,8 @@ fn described(
     Ok((scene, plan))
 }
 
-/// Validates, and draws each prediction at once, so that no image of it stays in memory.
+/// Validates, and draws the picture of each light as soon as it is predicted: its images are then
+/// freed.
 fn drawn(
     scene: &Scene,
     plan: &FitPlan,

@@ -41,7 +41,8 @@ pub fn write_validation(folder: &Path, found: &Validated) -> Result<(), Workflow
     )?)
 }
 
-/// The picture of a predicted light with its name; `None` in a build that draws no figures.
+/// Name and bytes of the PNG file that shows a predicted light; `None` in a build without the feature
+/// `figures`.
 #[cfg(feature = "figures")]
 pub(super) fn picture_of(
     prediction: &LightPrediction,

@@ -95,8 +95,9 @@ mod tests {
     const ALBEDO: f64 = 0.5;
     const TRUTHS: usize = 200;
 
-    /// A part of a ball whose albedo the fit knows to within 10%, by posterior samples that say so, or three
-    /// times as much, or a third: the coverage of rendered images is what follows from that.
+    /// The true albedo of a part of a ball scatters by 10% around the fitted one. Posterior samples
+    /// state 10%, three times as much, or a third: the intervals of rendered images cover what
+    /// follows from that.
     #[test]
     fn coverage_of_images_is_that_of_the_posterior() {
         let text = "[camera]\nmodel = \"orthographic\"\nresolution_px = [8, 8]\nextent_mm = [0.3, 0.3]\nposition_mm = [0.0, 0.0, 9.0]\n[sample]\nshape = { kind = \"sphere\", radius_mm = 1.0, segments = 96 }\nshading = \"smooth\"\n[[light]]\nkind = \"directional\"\nto_light = [0.3, 0.1, 1.0]\nirradiance = 3.0\n";
