@@ -216,11 +216,15 @@ impl Dictionary {
 
     /// Every atom's f at half and difference angles (degrees) and φd = 90°, 1/sr.
     pub fn values_at(&self, theta_h_deg: f64, theta_d_deg: f64) -> Vec<f64> {
-        let angles = HalfDifference {
+        self.values_of(HalfDifference {
             theta_h_rad: theta_h_deg.to_radians(),
             theta_d_rad: theta_d_deg.to_radians(),
             phi_d_rad: std::f64::consts::FRAC_PI_2,
-        };
+        })
+    }
+
+    /// f_r of all atoms, 1/sr; 0 where either direction is below the horizon.
+    pub fn values_of(&self, angles: HalfDifference) -> Vec<f64> {
         let (to_light, to_viewer) = angles.to_directions();
         match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
             Some(at) => self.atoms.iter().map(|atom| atom.eval(&at)).collect(),

@@ -4,8 +4,6 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
-use nalgebra::DVector;
-
 use super::discrepancy::{self, Discrepancy, Material};
 use super::{Atom, BrdfError, Dictionary, LARGEST_TEXT_BYTES, Mixture, weights};
 use crate::outside_file::read_text;
@@ -16,6 +14,10 @@ use crate::shown::excerpt;
 pub const WEIGHTS_FILE: &str = "weights.csv";
 /// Its model discrepancy; absent where there is none.
 pub const DISCREPANCY_FILE: &str = "discrepancy.csv";
+/// Columns of ln of the factor without cos 2φd, of R, G and B.
+const LN_FACTOR: [&str; 3] = ["ln_factor_r", "ln_factor_g", "ln_factor_b"];
+/// Those by cos 2φd.
+const BY_COS_2PHI: [&str; 3] = ["by_cos_2phi_r", "by_cos_2phi_g", "by_cos_2phi_b"];
 
 /// Names of the files that [`read`] reads of this folder of a fit.
 pub fn files(folder: &Path) -> Vec<&'static str> {
@@ -81,41 +83,47 @@ fn atoms(csv: &str) -> Result<Vec<Atom>, String> {
 /// The values at the nodes, which the rows name in order.
 fn discrepancies(csv: &str) -> Result<[Discrepancy; 3], String> {
     let (header, rows) = outside_table::with_header(csv)?;
-    let mut columns = [0; 5];
-    let names = [
-        "theta_h_deg",
-        "theta_d_deg",
-        "ln_factor_r",
-        "ln_factor_g",
-        "ln_factor_b",
-    ];
-    for (column_of, name) in columns.iter_mut().zip(names) {
-        *column_of = header.needed_column(name)?;
-    }
-    if rows.len() != discrepancy::NODES {
-        let (found, nodes) = (rows.len(), discrepancy::NODES);
+    // Fits of before have a table without φd.
+    let earlier = header.column(BY_COS_2PHI[0]).is_none();
+    let nodes: Vec<[f64; 2]> = match earlier {
+        true => Discrepancy::earlier_nodes().collect(),
+        false => discrepancy::nodes()
+            .map(|node| [node.theta_h_deg, node.theta_d_deg])
+            .collect(),
+    };
+    let by_azimuth = if earlier { &[][..] } else { &BY_COS_2PHI };
+    let names = ["theta_h_deg", "theta_d_deg"].iter().chain(&LN_FACTOR);
+    let columns = names
+        .chain(by_azimuth)
+        .map(|name| header.needed_column(name));
+    let columns = columns.collect::<Result<Vec<usize>, _>>()?;
+    if rows.len() != nodes.len() {
+        let (found, nodes) = (rows.len(), nodes.len());
         return Err(format!(
             "{found} rows, one for each of {nodes} nodes are needed"
         ));
     }
-    let mut values = [0; 3].map(|_| DVector::zeros(discrepancy::NODES));
-    for (k, (row, node)) in rows.iter().zip(discrepancy::nodes()).enumerate() {
-        let mut numbers = [0.0; 5];
-        for (value, column) in numbers.iter_mut().zip(columns) {
-            *value = outside_table::number(row.field(column))
+    let mut values = vec![Vec::with_capacity(nodes.len()); columns.len()];
+    for (row, node) in rows.iter().zip(&nodes) {
+        for (values, column) in values.iter_mut().zip(&columns) {
+            let value = outside_table::number(row.field(*column))
                 .map_err(|error| format!("line {}: {error}", row.line))?;
+            values.push(value);
         }
-        let [theta_h_deg, theta_d_deg, of_channels @ ..] = numbers;
-        if [theta_h_deg, theta_d_deg] != [node.theta_h_deg, node.theta_d_deg] {
-            let fact = "is not the node that belongs there";
+        let found = [0, 1].map(|k| values[k].last().copied().unwrap_or(f64::NAN));
+        if found != *node {
+            let ([h, d], line) = (found, row.line);
             return Err(format!(
-                "line {}: {theta_h_deg}, {theta_d_deg} {fact}",
-                row.line
+                "line {line}: {h}, {d} is not the node that belongs there"
             ));
         }
-        for (values, value) in values.iter_mut().zip(of_channels) {
-            values[k] = value;
-        }
     }
-    Ok(values.map(Discrepancy))
+    let by_channel = [2, 3, 4].map(|c| {
+        let slopes = values.get(c + 3).map_or(&[][..], Vec::as_slice);
+        Discrepancy::from_values(&[&values[c], slopes].concat())
+    });
+    match by_channel {
+        [Some(r), Some(g), Some(b)] => Ok([r, g, b]),
+        _ => Err("the nodes are not those of a fit".to_owned()),
+    }
 }

@@ -94,6 +94,12 @@ impl Mixture {
         &self.weights
     }
 
+    /// f per channel from the values of all atoms, in the dictionary's order.
+    pub fn of_atoms(&self, atoms: &[f64]) -> [f64; 3] {
+        let sum = |weights: &Vec<f64>| weights.iter().zip(atoms).map(|(w, f)| w * f).sum();
+        self.weights.each_ref().map(sum)
+    }
+
     /// f_r for polarised light, 1/sr: facets are smooth dielectrics, diffuse reflection
     /// depolarises. `ii` is [`Brdf::eval`].
     pub fn mueller(&self, to_light: Vec3, to_viewer: Vec3) -> [Mueller; 3] {

@@ -63,7 +63,11 @@ enum Loss {
 impl CellMatrix {
     /// Evaluates all atoms at the cells of [`score::cells`]`(n_phi)`.
     pub fn new(dictionary: Arc<Dictionary>, n_phi: usize) -> Self {
-        let cells = score::cells(n_phi);
+        Self::of_cells(dictionary, score::cells(n_phi))
+    }
+
+    /// Evaluates all atoms at these cells.
+    pub fn of_cells(dictionary: Arc<Dictionary>, cells: Vec<Cell>) -> Self {
         let evaluator = dictionary.evaluator();
         let n = dictionary.len();
         let mut values = vec![0.0f32; cells.len() * n];

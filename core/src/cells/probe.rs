@@ -22,9 +22,9 @@ const DIFFERENCE_RAD: f32 = 0.17;
 const MAX_CHANGE: f32 = 1.0;
 /// Half width of what is left out at an edge, in standard deviations of where the edge is.
 const EDGE_DEVIATIONS: f64 = 1.5;
-/// Most that is left out, in 64ths of the image's width, of which one is left out at least: what
-/// a mesh says of an edge is no better known.
-const MAX_EDGE_WIDTH: f64 = 4.0;
+/// Least and most that is left out, in 64ths of the image's width: what a mesh says of an edge is no
+/// better known. Next to a ball's silhouette lie the largest difference angles that it shows.
+const EDGE_WIDTHS: [f64; 2] = [0.25, 4.0];
 /// Standard deviations of the point spread beyond which an edge is not seen.
 const SPREAD_DEVIATIONS: f64 = 3.0;
 
@@ -134,7 +134,7 @@ impl Lattice {
 
         let [silhouettes, shadows] = edge_widths_px(scene, options)
             // An edge lies anywhere between the points on its two sides.
-            .map(|width| width.max(1.0) / f64::from(step_px) + 1.0);
+            .map(|width| width.max(0.25) / f64::from(step_px) + 1.0);
         let flat =
             |of: &dyn Fn(&Seen) -> bool| -> Vec<bool> { rows.iter().flatten().map(of).collect() };
         let off_sample = grown(&flat(&|seen| !seen.on_sample), size, silhouettes);
@@ -243,7 +243,8 @@ fn edge_widths_px(scene: &Scene, options: &CellOptions) -> [f64; 2] {
     let field_px = scene.camera.resolution_px[0] as f64 / FIELD_PARTS;
     [pose_px, shadow_px].map(|deviation| {
         let width_px = 0.5 + EDGE_DEVIATIONS * deviation + spread_px;
-        width_px.clamp(field_px, MAX_EDGE_WIDTH * field_px)
+        let [least, most] = EDGE_WIDTHS.map(|part| part * field_px);
+        width_px.clamp(least, most)
     })
 }
 

@@ -14,7 +14,7 @@ use nalgebra::DVector;
 
 use super::posterior::Posterior;
 use super::uncertainty::PosteriorSamples;
-use crate::brdf::discrepancy::{self, Discrepancy, Material};
+use crate::brdf::discrepancy::{Discrepancy, Material};
 use crate::brdf::{BrdfError, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 
@@ -136,25 +136,31 @@ struct Tables {
 
 impl Tables {
     fn new(a: &Material, b: &Material, reference: &Material) -> Self {
-        let none = || DVector::zeros(discrepancy::NODES);
-        let mut mean = [none(), none(), none()];
-        let mut difference = [none(), none(), none()];
-        for (k, node) in discrepancy::nodes().enumerate() {
-            let (h, d) = (node.theta_h_deg, node.theta_d_deg);
-            let atoms = reference.mixture.dictionary().values_at(h, d);
-            let [a, b, reference] = [a, b, reference].map(|material| material.at(&atoms, h, d));
-            for c in 0..3 {
-                if a[c] > 0.0 && b[c] > 0.0 && reference[c] > 0.0 {
-                    mean[c][k] =
-                        0.5 * (a[c] / reference[c]).ln() + 0.5 * (b[c] / reference[c]).ln();
-                    let apart = (a[c] / b[c]).ln();
-                    difference[c][k] = apart.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
-                }
-            }
+        // Of the mixtures; the discrepancies are in logarithms already.
+        let of_mixtures = |ln_factor: &dyn Fn([f64; 3]) -> f64| {
+            Discrepancy::closest(|angles| {
+                let atoms = reference.mixture.dictionary().values_of(angles);
+                let values = [a, b, reference].map(|material| material.mixture.of_atoms(&atoms));
+                [0, 1, 2].map(|c| {
+                    let values = values.map(|of| of[c]);
+                    match values.iter().all(|f| *f > 0.0) {
+                        true => ln_factor(values),
+                        false => 0.0,
+                    }
+                })
+            })
+        };
+        let mut mean = of_mixtures(&|[a, b, r]| 0.5 * ((a / r).ln() + (b / r).ln()));
+        let difference = of_mixtures(&|[a, b, _]| (a / b).ln());
+        let [a, b] = [a, b].map(|material| &material.discrepancies);
+        for (mean, (a, b)) in mean.iter_mut().zip(a.iter().zip(b)) {
+            mean.0 += 0.5 * (&a.0 + &b.0);
         }
+        let apart = |c: usize| &difference[c].0 + &a[c].0 - &b[c].0;
+        let limited = |v: f64| v.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
         Self {
-            mean: mean.map(Discrepancy),
-            difference,
+            mean,
+            difference: [0, 1, 2].map(|c| apart(c).map(limited)),
         }
     }
 }
@@ -163,11 +169,10 @@ impl Tables {
 mod tests {
     use super::*;
     use crate::brdf::Atom;
-    use crate::brdf::discrepancy::NODES;
 
     fn posterior(dictionary: &Arc<Dictionary>, weights: Vec<f64>, g: f64) -> Posterior {
         let mixture = Mixture::grey(dictionary.clone(), weights.clone()).unwrap();
-        let g = Discrepancy(DVector::from_element(NODES, g));
+        let g = Discrepancy::even(|_| g);
         let group = || PosteriorSamples {
             posterior: vec![DVector::from_column_slice(&weights); 400],
             prior: Vec::new(),
@@ -200,7 +205,7 @@ mod tests {
         let found = averaged(of_whole, of_part, 1).unwrap();
         let pi = std::f64::consts::PI;
         let at = whole.values_at(30.0, 20.0);
-        let f = found.material.at(&at, 30.0, 20.0);
+        let f = found.material.at(&at, 30.0, 20.0, 90.0);
         assert!(f.iter().all(|f| (f * pi - 0.2).abs() < 1e-6), "{f:?}");
         let group = &found.posterior_samples[2];
         let logs = group
@@ -209,7 +214,7 @@ mod tests {
             .zip(&group.discrepancies)
             .map(|(x, g)| {
                 let f: f64 = x.iter().zip(&at).map(|(x, f)| x * f).sum();
-                (pi * f * g.factor(30.0, 20.0)).ln()
+                (pi * f * g.factor(30.0, 20.0, 90.0)).ln()
             });
         let logs: Vec<f64> = logs.collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;

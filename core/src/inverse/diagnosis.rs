@@ -189,7 +189,7 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
     let mut grams: Vec<DMatrix<f64>> = objective.accumulate(
         mixture,
         &objective.inverse_variances(model),
-        false,
+        None,
         none,
         |grams, value| {
             let (cell, light, c) = (value.cell, value.light, value.channel);

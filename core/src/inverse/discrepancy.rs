@@ -10,10 +10,12 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
+use std::sync::Arc;
+
 use super::normal_equations::Marginal;
 use super::objective::{Linearised, Objective, ResidualWeights};
 use crate::brdf::Dictionary;
-use crate::brdf::discrepancy::{self, Discrepancy};
+use crate::brdf::discrepancy::{AZIMUTHS, Discrepancy, NODES, Prior, nodes};
 use crate::random::Stream;
 use crate::transport::direct_discrepancy::DirectDiscrepancy;
 
@@ -25,11 +27,11 @@ use normal::Joint;
 
 /// Variance that the equations of the discrepancy grant the images over what their weights
 /// say: they are linear in it, and far from where they were formed the images are not.
-const NOISE_INFLATION: f64 = 10.0;
+const NOISE_INFLATION: f64 = 2.0;
 
-/// Largest amplitude: what measured materials have. Images that are not linear ask for more, and
-/// what they then get is not near enough to be linear around.
-const MAX_AMPLITUDE: f64 = 1.0;
+/// Largest amplitude: twice what measured materials have on average. Images that are not linear ask
+/// for more, and what they then get is not near enough to be linear around.
+const MAX_AMPLITUDE: f64 = 2.0;
 
 /// Mean square of the modes over their variance a priori up to which they count as found: a sum of
 /// some forty squares of standard normal numbers exceeds twice its mean once in 10⁴ times.
@@ -43,6 +45,8 @@ const SIGNIFICANT_WEIGHT: f64 = 1e-3;
 
 /// The discrepancy from the mixture of one channel group.
 pub struct Eliminated {
+    /// What is known of it a priori.
+    prior: Arc<Prior>,
     /// Modes that no change of the weights in use could make: columns in those of all.
     free: DMatrix<f64>,
     /// Deviation of each a priori.
@@ -67,6 +71,8 @@ pub struct Eliminated {
 pub struct LinearizationPoint<'a> {
     /// The comparison, with the discrepancy applied.
     pub objective: &'a Objective<'a>,
+    /// What is known of the discrepancy a priori.
+    pub prior: &'a Arc<Prior>,
     /// How the light that is reflected once changes with the discrepancy.
     pub direct: &'a DirectDiscrepancy,
     /// What its values weigh.
@@ -82,7 +88,9 @@ impl Eliminated {
     /// where the evidence for one is small.
     pub fn first(at: &LinearizationPoint<'_>, dictionary: &Dictionary) -> Vec<Self> {
         let groups = at.mixture.iter();
-        let free: Vec<_> = groups.map(|x| free_modes(dictionary, x)).collect();
+        let free: Vec<_> = groups
+            .map(|x| free_modes(at.prior, dictionary, x))
+            .collect();
         let mut joint = normal::equations(at, &free);
         let fitted: Vec<DVector<f64>> = joint
             .iter()
@@ -100,7 +108,7 @@ impl Eliminated {
         }
         let groups = joint.into_iter().zip(free);
         groups
-            .map(|(joint, free)| Self::new(joint, free, amplitude))
+            .map(|(joint, free)| Self::new(joint, at.prior, free, amplitude))
             .collect()
     }
 
@@ -118,12 +126,12 @@ impl Eliminated {
             .zip(earlier.iter().zip(modes))
             .map(|((mut joint, free), (earlier, modes))| {
                 joint.score += joint.information.columns_range(joint.weights..) * modes;
-                Self::new(joint, free, earlier.amplitude)
+                Self::new(joint, at.prior, free, earlier.amplitude)
             })
             .collect()
     }
 
-    fn new(joint: Joint, free: DMatrix<f64>, amplitude: f64) -> Self {
+    fn new(joint: Joint, prior: &Arc<Prior>, free: DMatrix<f64>, amplitude: f64) -> Self {
         // Images far from linear in the modes ask for more than the modes can be.
         let of_modes = joint.score.rows_range(joint.weights..);
         let most = MAX_MEAN_SQUARE * amplitude * amplitude * of_modes.len() as f64;
@@ -143,6 +151,7 @@ impl Eliminated {
             total_score: marginal.score(&joint.score),
             block_scores: joint.blocks.iter().map(|s| marginal.score(s)).collect(),
             information: marginal.information,
+            prior: prior.clone(),
             free,
             amplitude,
             noise_inflation,
@@ -159,7 +168,7 @@ impl Eliminated {
 
     /// The discrepancy with these of the free modes.
     pub fn discrepancy(&self, modes: &DVector<f64>) -> Discrepancy {
-        Discrepancy(discrepancy::modes() * (&self.free * modes))
+        Discrepancy(self.prior.modes() * (&self.free * modes))
     }
 
     /// What is expected of the free modes where the weights differ by `step` from those that the
@@ -182,22 +191,34 @@ impl Eliminated {
 /// The modes that no change of the weights in use could make. What both could make would
 /// be shared by the priors alone, far from where the images are linear. As in a projection
 /// on the dictionary by cube roots, a discrepancy is orthogonal to the atoms.
-pub(super) fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
-    let modes = discrepancy::modes();
+pub(super) fn free_modes(
+    prior: &Prior,
+    dictionary: &Dictionary,
+    mixture: &DVector<f64>,
+) -> DMatrix<f64> {
+    let modes = prior.modes();
     let used: Vec<usize> = (0..mixture.len())
         .filter(|&k| mixture[k] > SIGNIFICANT_WEIGHT)
         .collect();
     let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
-    for (k, node) in discrepancy::nodes().enumerate() {
-        let atoms = dictionary.values_at(node.theta_h_deg, node.theta_d_deg);
-        let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
-        if f <= 0.0 {
-            continue;
+    for (k, node) in nodes().enumerate() {
+        // Over φd, how an atom's part goes along with g₀ and with g₁.
+        let mut along = vec![[0.0; 2]; used.len()];
+        for angles in node.azimuths() {
+            let atoms = dictionary.values_of(angles);
+            let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
+            if f <= 0.0 {
+                continue;
+            }
+            let weight = node.measure / AZIMUTHS as f64 * f.powf(2.0 / 3.0) / f;
+            for (along, &atom) in along.iter_mut().zip(&used) {
+                along[0] += weight * atoms[atom];
+                along[1] += weight * atoms[atom] * (2.0 * angles.phi_d_rad).cos();
+            }
         }
-        let weight = node.measure * f.powf(2.0 / 3.0);
-        for (row, &atom) in used.iter().enumerate() {
+        for (row, along) in along.into_iter().enumerate() {
             let mut row = rows.row_mut(row);
-            row += weight * atoms[atom] / f * modes.row(k);
+            row += along[0] * modes.row(k) + along[1] * modes.row(NODES + k);
         }
     }
     for mut row in rows.row_iter_mut() {

@@ -12,7 +12,7 @@ use super::discrepancy::Eliminated;
 use super::solve::per_channel;
 use super::uncertainty::PosteriorSamples;
 use crate::brdf::Mixture;
-use crate::brdf::discrepancy::{self, Material};
+use crate::brdf::discrepancy::{Discrepancy, Material};
 use crate::brdf::projection::{EnvironmentMatrix, ProjectionError};
 
 /// Albedo of what looks black: darker materials count as this bright.
@@ -54,25 +54,19 @@ const MAX_LOG_RATIO: f64 = 3.0;
 
 /// `material` as another mixture and the discrepancy from that one.
 fn relative_to(mixture: Mixture, material: &Material) -> Material {
-    let mut other = Material::from(mixture);
-    let nodes = discrepancy::nodes().enumerate().map(|(k, node)| {
-        let (h, d) = (node.theta_h_deg, node.theta_d_deg);
-        let atoms = other.mixture.dictionary().values_at(h, d);
-        let [wanted, there] = [material, &other].map(|material| material.at(&atoms, h, d));
+    let apart = Discrepancy::closest(|angles| {
+        let atoms = mixture.dictionary().values_of(angles);
+        let [wanted, there] = [&material.mixture, &mixture].map(|m| m.of_atoms(&atoms));
         [0, 1, 2].map(|c| {
-            let g = material.discrepancies[c].0[k];
             let both = wanted[c] > 0.0 && there[c] > 0.0;
-            let apart = if both {
-                (wanted[c] / there[c]).ln() - g
-            } else {
-                0.0
-            };
-            g + apart.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
+            let ratio = if both { wanted[c] / there[c] } else { 1.0 };
+            ratio.ln().clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
         })
     });
-    let nodes: Vec<[f64; 3]> = nodes.collect();
-    for (c, discrepancy) in other.discrepancies.iter_mut().enumerate() {
-        discrepancy.0 = DVector::from_iterator(nodes.len(), nodes.iter().map(|g| g[c]));
+    let mut other = Material::from(mixture);
+    let discrepancies = material.discrepancies.iter().zip(apart);
+    for (other, (g, apart)) in other.discrepancies.iter_mut().zip(discrepancies) {
+        other.0 = &g.0 + apart.0;
     }
     other
 }
@@ -114,7 +108,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::discrepancy::Discrepancy;
+    use crate::brdf::discrepancy::NODES;
     use crate::brdf::environment::EnvironmentMap;
     use crate::brdf::{Atom, Dictionary};
 
@@ -172,15 +166,15 @@ mod tests {
         let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
         let mixture =
             |weights: [f64; 3]| Mixture::grey(dictionary.clone(), weights.to_vec()).unwrap();
-        let g = [Discrepancy(DVector::from_element(discrepancy::NODES, 0.3))];
+        let g = [Discrepancy::even(|_| 0.3)];
         let rewritten =
             |from, wanted| relative_to(mixture(from), &Material::new(mixture(wanted), &g));
         let darker = rewritten([0.8, 0.2, 0.0], [0.4, 0.6, 0.0]);
-        for &found in darker.discrepancies[1].0.iter() {
+        for &found in darker.discrepancies[1].0.rows(0, NODES).iter() {
             assert!((found - (0.3 + 0.5f64.ln())).abs() < 1e-6, "{found}");
         }
         let other = rewritten([0.0, 0.5, 0.5], [0.5, 0.0, 0.5]);
-        for &found in other.discrepancies[2].0.iter() {
+        for &found in other.discrepancies[2].0.rows(0, NODES).iter() {
             assert!((found - 0.3).abs() <= MAX_LOG_RATIO + 1e-9, "{found}");
         }
     }

@@ -18,7 +18,7 @@ use super::trace::{Step, Termination};
 use super::uncertainty::PosteriorSamples;
 use super::unexplained::Seen;
 use crate::brdf::dictionary::Dictionary;
-use crate::brdf::discrepancy::Material;
+use crate::brdf::discrepancy::{Material, Prior};
 use crate::brdf::projection::ProjectionError;
 use crate::brdf::{Atom, Mixture};
 use crate::cells::{Captured, check_count};
@@ -80,11 +80,23 @@ impl Fit {
 
     /// [`Fit::interval`] on a grid of angles (degrees), the difference angle varying fastest.
     pub fn intervals(&self, theta_h_deg: &[f64], theta_d_deg: &[f64]) -> Vec<Interval> {
+        self.intervals_at(theta_h_deg, theta_d_deg, 90.0)
+    }
+
+    /// [`Fit::intervals`] at another azimuth φd of the light about the half vector (degrees; 0 is
+    /// the plane of incidence); values of 0 where it lies below the horizon there.
+    pub fn intervals_at(
+        &self,
+        theta_h_deg: &[f64],
+        theta_d_deg: &[f64],
+        phi_d_deg: f64,
+    ) -> Vec<Interval> {
         intervals::table(
             &self.material,
             &self.posterior_samples,
             theta_h_deg,
             theta_d_deg,
+            phi_d_deg,
         )
     }
 }
@@ -171,9 +183,10 @@ pub(super) fn fit_on_bench(
     let outlier_fraction = (0..objective.lights())
         .map(|light| objective.outlier_fraction(&solved.pass.model, light))
         .collect();
+    let prior = Prior::without(&options.left_out);
     let with_discrepancy = timings.time("images", || {
         (discrepancy > 0.0)
-            .then(|| DiscrepancyModel::of_all(&objective, scene, &material, options.cache.seed))
+            .then(|| DiscrepancyModel::of_all(&objective, scene, &material, &prior, options.cache.seed))
     });
     let objective = match &with_discrepancy {
         Some(model) => objective.with_discrepancy(model),

@@ -89,7 +89,7 @@ fn scores(
     objective.accumulate(
         mixture,
         residual_weights,
-        false,
+        None,
         || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; BATCH]; groups],
         |sums, value| {
             let changes = images.at(value.cell);

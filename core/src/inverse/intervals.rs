@@ -3,6 +3,7 @@
 //! Weights alone are not identifiable (atoms overlap); the BRDF they add up to is.
 
 use super::uncertainty::PosteriorSamples;
+use crate::brdf::HalfDifference;
 use crate::brdf::discrepancy::Material;
 
 /// f at one pair of angles, per channel, 1/sr.
@@ -18,19 +19,21 @@ pub struct Interval {
     pub constrained: bool,
 }
 
-/// Intervals over the grid of half and difference angles (degrees), θd fastest, at φd = 90°.
+/// Intervals over the grid of half and difference angles (degrees), θd fastest, at one φd.
 pub fn table(
     material: &Material,
     posterior_samples: &[PosteriorSamples],
     theta_h_deg: &[f64],
     theta_d_deg: &[f64],
+    phi_d_deg: f64,
 ) -> Vec<Interval> {
     let cell = |theta_h_deg: f64, theta_d_deg: f64| {
-        let atoms = material
-            .mixture
-            .dictionary()
-            .values_at(theta_h_deg, theta_d_deg);
-        let values = material.at(&atoms, theta_h_deg, theta_d_deg);
+        let atoms = material.mixture.dictionary().values_of(HalfDifference {
+            theta_h_rad: theta_h_deg.to_radians(),
+            theta_d_rad: theta_d_deg.to_radians(),
+            phi_d_rad: phi_d_deg.to_radians(),
+        });
+        let values = material.at(&atoms, theta_h_deg, theta_d_deg, phi_d_deg);
         let mut interval = Interval {
             value: [0.0; 3],
             lower: [0.0; 3],
@@ -46,7 +49,7 @@ pub fn table(
                 continue;
             };
             let factor = |draw: usize| match group.discrepancies.get(draw) {
-                Some(discrepancy) => discrepancy.factor(theta_h_deg, theta_d_deg),
+                Some(discrepancy) => discrepancy.factor(theta_h_deg, theta_d_deg, phi_d_deg),
                 None => 1.0,
             };
             let mut posterior: Vec<f64> = (0..)
@@ -144,7 +147,7 @@ mod tests {
         let mixture = Mixture::grey(Arc::new(dictionary), vec![0.5, 0.5]).unwrap();
         let material = Material::from(mixture);
         let posterior_samples = [group(), group(), group()];
-        let cells = table(&material, &posterior_samples, &[0.0, 30.0], &[45.0]);
+        let cells = table(&material, &posterior_samples, &[0.0, 30.0], &[45.0], 90.0);
         for cell in &cells {
             let pi = std::f64::consts::PI;
             assert!((cell.value[1] - 0.5 / pi).abs() < 1e-7);
@@ -161,7 +164,7 @@ mod tests {
             discrepancies: Vec::new(),
             budget: None,
         }];
-        assert!(!table(&material, &wide, &[0.0], &[45.0])[0].constrained);
+        assert!(!table(&material, &wide, &[0.0], &[45.0], 90.0)[0].constrained);
         assert!((weight_deviations(&posterior_samples, 2)[0][0] - 0.0586).abs() < 1e-3);
     }
 }

@@ -409,7 +409,7 @@ fn information(
     let mut all = objective.accumulate(
         mixture,
         &residual_weights,
-        false,
+        None,
         || vec![DMatrix::zeros(n, n); objective.lights()],
         |sums, value| {
             let [a, b] = value.by_weights;

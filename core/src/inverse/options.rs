@@ -56,6 +56,9 @@ pub struct FitOptions {
     pub adapt_paths: bool,
     /// Deviation of the as-made sample from the scene's mesh; `None`: not at all.
     pub form_error: Option<FormError>,
+    /// Embedded measured materials that the prior of the model discrepancy is not learned from,
+    /// with their near duplicates: in an experiment, its truth. Other names leave nothing out.
+    pub left_out: Vec<String>,
     /// Instructions to use.
     pub kernel: Kernel,
 }
@@ -72,6 +75,7 @@ impl Default for FitOptions {
             posterior_samples: 200,
             adapt_paths: true,
             form_error: None,
+            left_out: Vec::new(),
             kernel: Kernel::detect(),
         }
     }

@@ -15,7 +15,7 @@ use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, PosteriorSamples};
 use super::unexplained::Seen;
 use crate::brdf::Mixture;
-use crate::brdf::discrepancy::{self, Discrepancy, Material};
+use crate::brdf::discrepancy::{self, Discrepancy, Material, NODES, Prior};
 use crate::brdf::energy::EnergyBound;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::projection::{EnvironmentMatrix, ProjectionError};
@@ -67,9 +67,10 @@ impl Posterior {
                 let scale_deviation = of_set.scale_deviation;
                 for (x, g) in of_set.posterior.iter().zip(&mut of_set.discrepancies) {
                     let normal = DVector::from_fn(fields.ncols(), |_, _| numbers.normal());
-                    g.0 += deviations.component_mul(&(fields * normal));
+                    let mut even = g.0.rows_mut(0, NODES);
+                    even += deviations.component_mul(&(fields * normal));
                     if scale_deviation > 0.0 {
-                        g.0.add_scalar_mut(scale_deviation * scales.normal());
+                        even.add_scalar_mut(scale_deviation * scales.normal());
                     }
                     *g = energy.bounded(x.as_slice(), g);
                 }
@@ -140,8 +141,9 @@ pub(super) fn posterior(
             seed,
         )
     };
+    let prior = Prior::without(&options.left_out);
     let model_of =
-        |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, seed);
+        |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, &prior, seed);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
 
@@ -149,6 +151,7 @@ pub(super) fn posterior(
     let nothing = model_of(&Material::from(fitted));
     let at = LinearizationPoint {
         objective,
+        prior: &prior,
         direct: &nothing.direct,
         residual_weights: weights,
         mixture,
@@ -217,7 +220,6 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::discrepancy::modes;
     use crate::brdf::{Atom, Brdf, Dictionary};
     use crate::cells::{Captured, CellOptions};
     use crate::inverse::discrepancy::free_modes;
@@ -254,10 +256,11 @@ mod tests {
         let truth = Mixture::grey(dictionary.clone(), vec![0.4, 0.4, 0.2]).unwrap();
         let weights = DVector::from_column_slice(&truth.weights()[0]);
         // Of the widest modes, what the weights cannot make.
-        let free = free_modes(&dictionary, &weights);
+        let prior = Prior::without(&[]);
+        let free = free_modes(&prior, &dictionary, &weights);
         let mut z = DVector::zeros(free.nrows());
         z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
-        let g = Discrepancy(modes() * (&free * free.tr_mul(&z)));
+        let g = Discrepancy(prior.modes() * (&free * free.tr_mul(&z)));
         let with_discrepancy = Material::new(truth.clone(), std::slice::from_ref(&g));
         let mut options = FitOptions::default();
         options.cache.samples_per_cell = 128;
@@ -286,7 +289,7 @@ mod tests {
             }
             let atoms = dictionary.values_at(h, d);
             let [truth, mixture, found] = [&with_discrepancy, &mixture, &found.material]
-                .map(|material| material.at(&atoms, h, d)[0]);
+                .map(|material| material.at(&atoms, h, d, 90.0)[0]);
             squares[0] += (mixture / truth).ln().powi(2);
             squares[1] += (found / truth).ln().powi(2);
         }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::intervals::unexplained_deviation;
 use super::objective::{ModelImage, Modelled, Objective, ResidualWeights};
-use crate::brdf::discrepancy::{NODES, node_weights, nodes};
+use crate::brdf::discrepancy::{NODES, Place, nodes};
 use crate::transport::Scene;
 use crate::transport::direct::for_each_lit;
 
@@ -109,7 +109,7 @@ impl Seen {
                 STRATA,
                 seed,
                 |light, lamp, to_viewer| {
-                    for (node, part) in node_weights(lamp.to_light, to_viewer) {
+                    for (node, part) in Place::of(lamp.to_light, to_viewer).around {
                         shares[light][node] += f64::from(lamp.irradiance) * f64::from(part);
                     }
                 },

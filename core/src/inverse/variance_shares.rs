@@ -16,7 +16,7 @@ pub struct CellBudget {
     pub relative_variance: [f64; SOURCES],
 }
 
-/// The budget at half and difference angles, degrees; `None` without samples.
+/// The budget at half and difference angles, degrees, at φd = 90°; `None` without samples.
 pub fn at(
     material: &Material,
     posterior_samples: &[PosteriorSamples],
@@ -25,7 +25,7 @@ pub fn at(
 ) -> Option<CellBudget> {
     let dictionary = material.mixture.dictionary();
     let atoms = DVector::from_vec(dictionary.values_at(theta_h_deg, theta_d_deg));
-    let values = material.at(atoms.as_slice(), theta_h_deg, theta_d_deg);
+    let values = material.at(atoms.as_slice(), theta_h_deg, theta_d_deg, 90.0);
     let mut cell = CellBudget {
         value: 0.0,
         relative_variance: [0.0; SOURCES],
@@ -49,7 +49,7 @@ pub fn at(
         }
         let discrepancies = group.discrepancies.iter();
         let discrepancies: Vec<f64> = discrepancies
-            .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
+            .map(|d| d.factor(theta_h_deg, theta_d_deg, 90.0).ln())
             .collect();
         let beyond = deviation(&discrepancies);
         let scale = group.scale_deviation.min(beyond);

@@ -32,7 +32,7 @@ pub enum Implausible {
     },
     /// A light behind the sample, or at its horizon.
     #[error(
-        "light {light} brings {:.3}% of its irradiance to the surface that the camera sees, 1% at least is needed: it lies behind the sample or at its horizon",
+        "light {light} brings {:.3}% of its irradiance to the surface that the camera sees and lights {lit} cells of its image above noise, 1% or {MIN_LIT_CELLS} cells are needed: it lies behind the sample or at its horizon",
         100.0 * mean_cosine
     )]
     NotLit {
@@ -40,6 +40,8 @@ pub enum Implausible {
         light: usize,
         /// Mean cosine of incidence over the visible surface, 0 in its shadow.
         mean_cosine: f64,
+        /// Cells that it reaches whose value stands out of noise.
+        lit: usize,
     },
     /// Nothing but noise, or nothing at all.
     #[error(
@@ -146,6 +148,8 @@ impl Implausible {
 /// A light must bring this part of its irradiance to the visible surface on average: of a
 /// flat sample, one that stands 0.6° above its horizon.
 const MIN_MEAN_COSINE: f64 = 0.01;
+/// Or it must light so many cells above noise: a lamp far behind a ball lights a narrow crescent.
+const MIN_LIT_CELLS: usize = 20;
 /// Below this part of a white sample's radiance an image counts as black, whatever variance
 /// it states: the blackest coatings reflect some 3e-4 of the light.
 const MIN_RADIANCE_RATIO: f64 = 1e-5;
@@ -197,10 +201,16 @@ pub fn check(
     let Some(white) = white_radiance(scene, &captured.cells) else {
         return Ok(());
     };
-    for (light, white) in white.iter().enumerate() {
+    for (light, (white, image)) in white.iter().zip(&captured.images).enumerate() {
         let mean_cosine = std::f64::consts::PI * mean(white) / reference_irradiance(scene, light);
-        if mean_cosine < MIN_MEAN_COSINE {
-            return Err(Implausible::NotLit { light, mean_cosine });
+        let lit = (0..white.len()).filter(|&cell| white[cell] > 0.0 && stands_out(image, cell));
+        let lit = lit.count();
+        if mean_cosine < MIN_MEAN_COSINE && lit < MIN_LIT_CELLS {
+            return Err(Implausible::NotLit {
+                light,
+                mean_cosine,
+                lit,
+            });
         }
     }
     let means: Vec<f64> = white.iter().map(|white| mean(white)).collect();
@@ -223,6 +233,12 @@ pub fn check(
         }
     }
     Ok(())
+}
+
+/// Whether the light of a cell, all channels together, exceeds its noise.
+fn stands_out(image: &CellImage, cell: usize) -> bool {
+    let [light, variance] = [&image.mean, &image.variance].map(|of| of[cell].iter().sum::<f64>());
+    light > SIGNIFICANT_DEVIATIONS * variance.sqrt()
 }
 
 /// Refuses an image that is more than `allowed` times as bright as the brightest material, per

@@ -6,12 +6,13 @@
 //! from prefix products and the suffix R: no division by f, so a vertex where the
 //! current mixture is black still contributes (docs/adr/0002).
 
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::cache::{Cache, Chunk, Records};
 use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
-use crate::brdf::discrepancy::NODES;
+use crate::brdf::discrepancy::{LEVELS, NODES, VALUES, cos_2phi_of};
 
 /// Which instructions evaluate the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,9 +71,9 @@ pub struct CellRows<'a> {
     pub variance: &'a [f32],
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
-    /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
+    /// Derivatives along the modes of a discrepancy, `by_modes[half][r · modes + mode]`; empty
     /// unless requested.
-    pub nodes: [&'a [f32]; 2],
+    pub by_modes: [&'a [f32]; 2],
 }
 
 /// Most accumulators of one evaluation: enough to keep many threads busy, few enough to be
@@ -84,12 +85,12 @@ pub type ChannelWeights<'a> = &'a [&'a [f64]];
 
 /// The discrepancy of a material in an evaluation.
 #[derive(Clone, Copy, Default)]
-pub struct NodeFactors<'a> {
-    /// Per channel, factors of f at the nodes of [`crate::brdf::discrepancy`]; empty
+pub struct Discrepancies<'a> {
+    /// Per channel, factors of f at the places of [`crate::brdf::discrepancy`]; empty
     /// without discrepancy.
-    pub factors: &'a [[f32; NODES]],
-    /// Whether derivatives by ln f at the nodes are wanted.
-    pub by_node: bool,
+    pub factors: &'a [Vec<f32>],
+    /// Modes (columns of values at the nodes) along which derivatives of ln f are wanted.
+    pub modes: Option<&'a DMatrix<f64>>,
 }
 
 impl Cache {
@@ -106,7 +107,7 @@ impl Cache {
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
-        self.evaluate_with_discrepancy(kernel, weights, &NodeFactors::default(), group, visit)
+        self.evaluate_with_discrepancy(kernel, weights, &Discrepancies::default(), group, visit)
     }
 
     /// [`Cache::evaluate`] for a mixture with discrepancy.
@@ -114,7 +115,7 @@ impl Cache {
         &self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        discrepancy: &NodeFactors<'_>,
+        discrepancy: &Discrepancies<'_>,
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
@@ -141,7 +142,7 @@ impl Cache {
         &'a self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        discrepancy: &NodeFactors<'_>,
+        discrepancy: &Discrepancies<'_>,
     ) -> Box<dyn Groups + 'a> {
         macro_rules! by_channels {
             ($chunks:expr, $b:literal) => {
@@ -188,7 +189,8 @@ struct Pass<'a, const B: usize, const C: usize> {
     kernel: Kernel,
     groups: Vec<&'a [Chunk<B>]>,
     mixture: Mixture<B, C>,
-    by_node: bool,
+    /// The modes in rows.
+    modes: Option<DMatrix<f32>>,
 }
 
 impl<'a, const B: usize, const C: usize> Pass<'a, B, C> {
@@ -197,7 +199,7 @@ impl<'a, const B: usize, const C: usize> Pass<'a, B, C> {
         kernel: Kernel,
         chunks: &'a [Chunk<B>],
         weights: ChannelWeights<'_>,
-        discrepancy: &NodeFactors<'_>,
+        discrepancy: &Discrepancies<'_>,
     ) -> Self {
         let per_group = chunks.len().div_ceil(MAX_GROUPS).max(1);
         Self {
@@ -205,7 +207,7 @@ impl<'a, const B: usize, const C: usize> Pass<'a, B, C> {
             kernel,
             groups: chunks.chunks(per_group).collect(),
             mixture: Mixture::new(&cache.atoms, weights, discrepancy.factors),
-            by_node: discrepancy.by_node,
+            modes: discrepancy.modes.map(|modes| modes.transpose().map(|v| v as f32)),
         }
     }
 }
@@ -220,10 +222,12 @@ impl<const B: usize, const C: usize> Groups for Pass<'_, B, C> {
         let rows = cache.lights * C;
         // Room for one cell, used again for all of the group.
         let mut scratch = Scratch::new();
-        let mut sums = [(); 2].map(|()| Sums::<B, C>::new(cache.lights, self.by_node));
+        let by_node = self.modes.is_some();
+        let mut sums = [(); 2].map(|()| Sums::<B, C>::new(cache.lights, by_node));
         let mut jacobian = [(); 2].map(|()| vec![0.0; rows * cache.atoms.atoms()]);
-        let nodes = if self.by_node { rows * NODES } else { 0 };
-        let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
+        let mut nodes = DMatrix::zeros(VALUES, if by_node { rows } else { 0 });
+        let modes = self.modes.as_ref().map_or(0, DMatrix::nrows);
+        let mut by_modes = [(); 2].map(|()| DMatrix::zeros(modes, nodes.ncols()));
         let mut values = [(); 2].map(|()| vec![0.0; rows]);
         let mut variance = vec![0.0; rows];
         for records in self.groups[group] {
@@ -244,7 +248,10 @@ impl<const B: usize, const C: usize> Groups for Pass<'_, B, C> {
                         &mut values[half],
                         &mut jacobian[half],
                     );
-                    sums[half].by_node(cache.samples_per_half, &mut nodes[half]);
+                    if let Some(modes) = &self.modes {
+                        sums[half].by_node(cache.samples_per_half, &mut nodes);
+                        by_modes[half].gemm(1.0, modes, &nodes, 0.0);
+                    }
                 }
                 // Variance of the mean over both halves' paths.
                 let n = 2.0 * cache.samples_per_half as f32;
@@ -258,7 +265,7 @@ impl<const B: usize, const C: usize> Groups for Pass<'_, B, C> {
                     value: [&values[0], &values[1]],
                     variance: &variance,
                     jacobian: [&jacobian[0], &jacobian[1]],
-                    nodes: [&nodes[0], &nodes[1]],
+                    by_modes: [by_modes[0].as_slice(), by_modes[1].as_slice()],
                 });
             }
         }
@@ -269,16 +276,20 @@ impl<const B: usize, const C: usize> Groups for Pass<'_, B, C> {
 struct Mixture<const B: usize, const C: usize> {
     lanes: [[[f32; 8]; B]; C],
     lambertian: [f32; C],
-    /// Of f, by the node of a record.
-    factors: [[f32; C]; 256],
+    /// Of f, by the place of a record; without discrepancy, one.
+    factors: Vec<[f32; C]>,
+    /// All bits of a place, or none without discrepancy.
+    places: usize,
 }
 
 impl<const B: usize, const C: usize> Mixture<B, C> {
-    fn new(atoms: &LaneAtoms, weights: ChannelWeights<'_>, factors: &[[f32; NODES]]) -> Self {
+    fn new(atoms: &LaneAtoms, weights: ChannelWeights<'_>, factors: &[Vec<f32>]) -> Self {
+        let places = factors.first().map_or(1, Vec::len);
         let mut mixture = Self {
             lanes: [[[0.0; 8]; B]; C],
             lambertian: [0.0; C],
-            factors: [[1.0; C]; 256],
+            factors: vec![[1.0; C]; places],
+            places: if places == 1 { 0 } else { usize::MAX },
         };
         for (c, factors) in factors.iter().enumerate().take(C) {
             for (all, factor) in mixture.factors.iter_mut().zip(factors) {
@@ -292,11 +303,22 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
     }
 }
 
+/// cos 2φd by level.
+static COS_2PHI: [f32; LEVELS] = {
+    let mut cosines = [0.0; LEVELS];
+    let mut level = 0;
+    while level < LEVELS {
+        cosines[level] = cos_2phi_of(level);
+        level += 1;
+    }
+    cosines
+};
+
 /// Sums over the paths of one half of a cell, per light.
 struct Sums<const B: usize, const C: usize>(
     Vec<LightSums<B, C>>,
-    /// By ln f at the nodes, per light; empty unless requested.
-    Vec<[[f32; C]; 256]>,
+    /// By g₀ and g₁ at the nodes, per light; empty unless requested.
+    Vec<Vec<[[f32; C]; 2]>>,
 );
 
 /// Sums under one light, per channel.
@@ -320,23 +342,23 @@ impl<const B: usize, const C: usize> Sums<B, C> {
             lights
         ];
         let nodes = if by_node { lights } else { 0 };
-        Self(sums, vec![[[0.0; C]; 256]; nodes])
+        Self(sums, vec![vec![[[0.0; C]; 2]; NODES]; nodes])
     }
 
     fn square(&self, row: usize) -> f32 {
         self.0[row / C].square[row % C]
     }
 
-    /// Means over the samples by ln f at the nodes.
-    fn by_node(&self, samples: u32, out: &mut [f32]) {
+    /// Means over the samples by the values of a discrepancy, a column per row of a cell.
+    fn by_node(&self, samples: u32, out: &mut DMatrix<f32>) {
         let scale = 1.0 / samples as f32;
-        let rows = self
-            .1
-            .iter()
-            .flat_map(|nodes| (0..C).map(move |c| (nodes, c)));
-        for (out, (nodes, c)) in out.chunks_mut(NODES).zip(rows) {
-            for (out, node) in out.iter_mut().zip(nodes) {
-                *out = node[c] * scale;
+        for (light, nodes) in self.1.iter().enumerate() {
+            for c in 0..C {
+                let mut column = out.column_mut(light * C + c);
+                for (k, node) in nodes.iter().enumerate() {
+                    column[k] = node[0][c] * scale;
+                    column[NODES + k] = node[1][c] * scale;
+                }
             }
         }
     }
@@ -485,7 +507,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
         let head = records[i].head();
         let flags = head.flags();
         let scale = head.scale();
-        let node_factors = &mixture.factors[head.node()];
+        let node_factors = &mixture.factors[head.place() & mixture.places];
         let dot = records[i].dot::<L, C>(&weights);
         // About as many records come next: the pixel's other half, or the next pixel.
         L::prefetch(&records[i], n);
@@ -544,12 +566,16 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
         }
         // Derivatives by ln f at the nodes of the discrepancy.
         if let Some(nodes) = by_node.get_mut(light) {
-            nodes.fill([0.0; C]);
+            nodes.fill([[0.0; C]; 2]);
             for &(i, share) in &shares[..count] {
                 let i = i as usize;
-                let node = &mut nodes[records[i].head().node()];
+                let place = records[i].head().place();
+                let cosine = COS_2PHI[place % LEVELS];
+                let node = &mut nodes[place / LEVELS];
                 for c in 0..C {
-                    node[c] = L::fused(share[c], steps[i].f[c], node[c]);
+                    let part = share[c] * steps[i].f[c];
+                    node[0][c] += part;
+                    node[1][c] = L::fused(part, cosine, node[1][c]);
                 }
             }
         }

@@ -26,12 +26,13 @@ pub const MAX_LIGHTS: usize = LIGHT as usize + 1;
 /// The part that all records share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Head {
-    /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength. Of a record, its
-    /// last eight bits are the node of the discrepancy that stands for the pair of directions.
+    /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength.
     pub weight: f32,
     /// Exponent of the power of two that multiplies the stored values.
     pub exponent: i8,
     tag: u8,
+    /// Of a record: the place in the table of discrepancies that stands for the pair of directions.
+    place: u16,
 }
 
 impl Head {
@@ -41,6 +42,7 @@ impl Head {
             weight,
             exponent: 0,
             tag: CONTINUES,
+            place: 0,
         }
     }
 
@@ -50,6 +52,7 @@ impl Head {
             weight,
             exponent: 0,
             tag: light as u8 & LIGHT,
+            place: 0,
         }
     }
 
@@ -82,21 +85,10 @@ impl Head {
         usize::from(self.tag & LIGHT)
     }
 
-    /// The discrepancy's node ([`discrepancy::node_near`]).
+    /// The discrepancy's place ([`discrepancy::place_near`]).
     #[inline(always)]
-    pub fn node(&self) -> usize {
-        usize::from(self.weight.to_bits() as u8)
-    }
-
-    /// With the node of a pair of directions. The weight keeps 16 bits, more than the values.
-    #[inline]
-    fn at(self, at: &Cosines<f32>) -> Self {
-        let bits = self.weight.to_bits().saturating_add(0x80) & !0xff;
-        let node = discrepancy::node_near(at.sin2_h, at.cos_d);
-        Self {
-            weight: f32::from_bits(bits | u32::from(node)),
-            ..self
-        }
+    pub fn place(&self) -> usize {
+        usize::from(self.place)
     }
 
     /// 2^exponent.
@@ -255,7 +247,8 @@ fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
 impl<const B: usize> Record<B> {
     /// Stores the atoms' values at `at`.
     pub fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
-        let mut head = head.at(at);
+        let mut head = head;
+        head.place = discrepancy::place_near(at.cos_i, at.cos_o, at.sin2_h, at.cos_d);
         let mut lanes = [[0.0f32; 8]; B];
         atoms.evaluator.eval(at, lanes.as_flattened_mut());
         let largest = lanes.iter().flatten().fold(0.0f32, |m, &v| m.max(v));

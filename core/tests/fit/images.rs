@@ -156,7 +156,7 @@ fn the_truth_comes_back_through_interreflections() {
         .unwrap();
         let [error, start] = errors(&fit, &dictionary, &truth);
         let theta: Vec<f64> = (0..9).map(|i| 10.0 * f64::from(i)).collect();
-        let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta, &theta);
+        let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta, &theta, 90.0);
         let constrained = cells.iter().filter(|c| c.constrained).count();
         println!(
             "{name}: cube-root error {error:.4}, start {start:.4}, constrained {constrained} of {}, chi2 {:?}",
@@ -170,7 +170,7 @@ fn the_truth_comes_back_through_interreflections() {
         );
         // Cells of one fit err together, so fewer than 95% may hold the truth; and hardly
         // any is told much better than by the prior of few atoms (docs/adr/0006).
-        let true_cells = intervals::table(&Material::from(truth.clone()), &[], &theta, &theta);
+        let true_cells = intervals::table(&Material::from(truth.clone()), &[], &theta, &theta, 90.0);
         let held = cells.iter().zip(&true_cells).flat_map(|(cell, truth)| {
             (0..3).map(move |c| (cell.lower[c]..=cell.upper[c]).contains(&truth.value[c]))
         });

@@ -94,7 +94,7 @@ impl Columns<'_> {
         let ([own, response, coupling], scores) = objective.accumulate(
             mixture,
             residual_weights,
-            false,
+            None,
             zero,
             |([own, response, coupling], scores), value| {
                 let z = self.rows(objective, value, |d, _| d.direct);
@@ -170,7 +170,7 @@ impl Columns<'_> {
         objective.accumulate(
             mixture,
             residual_weights,
-            false,
+            None,
             || vec![[none(), none()]; objective.groups()],
             |sums, value| {
                 let rows = self.rows(objective, value, |d, half| d.halves[half]);

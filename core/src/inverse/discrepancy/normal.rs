@@ -3,7 +3,6 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::LinearizationPoint;
-use crate::brdf::discrepancy::{self, NODES};
 use crate::inverse::normal_equations::{NormalEquations, Scores, Signal};
 use crate::inverse::objective::Value;
 
@@ -70,7 +69,7 @@ fn onto_free(weights: usize, free: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// The equations of each group with its `free` modes.
 pub(super) fn equations(at: &LinearizationPoint<'_>, free: &[DMatrix<f64>]) -> Vec<Joint> {
-    let k = at.objective.atoms() + discrepancy::modes().ncols();
+    let k = at.objective.atoms() + at.prior.modes().ncols();
     let equations = over_values(
         at,
         || NormalEquations::zero(k),
@@ -95,7 +94,7 @@ pub(super) fn blocks_after(
     let n = at.objective.atoms();
     let scores = over_values(
         at,
-        || Scores::zero(n + discrepancy::modes().ncols()),
+        || Scores::zero(n + at.prior.modes().ncols()),
         |sums, value, rows| {
             let discrepancy = &discrepancies[value.group];
             let residual = [0, 1].map(|half| {
@@ -119,19 +118,16 @@ fn over_values<T: Send>(
     visit: impl Fn(&mut T, &Value<'_>, [&[f64]; 2]) + Sync,
     join: impl Fn(&mut T, T),
 ) -> Vec<T> {
-    let modes = discrepancy::modes();
     at.objective.accumulate(
         at.mixture,
         at.residual_weights,
-        true,
+        Some(at.prior.modes()),
         || at.mixture.iter().map(|_| zero()).collect::<Vec<_>>(),
         |sums, value| {
             let direct = at.direct.by_modes(value.cell, value.light, value.channel);
             let rows = [0, 1].map(|half| {
-                let nodes = value.by_nodes[half].iter().map(|&v| f64::from(v));
-                let indirect = modes.tr_mul(&DVector::from_iterator(NODES, nodes));
-                let both = indirect.iter().zip(direct);
-                let by_modes = both.map(|(i, &d)| i + value.direct * f64::from(d));
+                let both = value.by_modes[half].iter().zip(direct);
+                let by_modes = both.map(|(&i, &d)| f64::from(i) + value.direct * f64::from(d));
                 let by_weights = value.by_weights[half].iter().copied();
                 by_weights.chain(by_modes).collect::<Vec<f64>>()
             });

@@ -1,10 +1,9 @@
 //! The one loop over compared values: every cell, light and channel, with both halves of the
 //! paths.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::{Objective, ResidualWeights};
-use crate::brdf::discrepancy::NODES;
 use crate::transport::CellRows;
 
 /// A compared value. Radiances are over the lamp's strength.
@@ -31,9 +30,9 @@ pub struct Value<'a> {
     pub residual: [f64; 2],
     /// Derivatives of the model by the weights, by half.
     pub by_weights: [&'a [f64]; 2],
-    /// Derivatives of the indirect light by ln f at the nodes of a discrepancy, by half; empty
-    /// unless requested.
-    pub by_nodes: [&'a [f32]; 2],
+    /// Derivatives of the indirect light along the modes of a discrepancy, by half; empty unless
+    /// requested.
+    pub by_modes: [&'a [f32]; 2],
 }
 
 impl Objective<'_> {
@@ -43,13 +42,13 @@ impl Objective<'_> {
         &self,
         mixture: &[DVector<f64>],
         residual_weights: &ResidualWeights,
-        by_node: bool,
+        modes: Option<&DMatrix<f64>>,
         zero: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &Value<'_>) + Sync,
         join: impl Fn(&mut T, T),
     ) -> T {
         let group = || (zero(), self.row_pair());
-        let parts = self.evaluate(mixture, by_node, group, |(sum, pair), rows| {
+        let parts = self.evaluate(mixture, modes, group, |(sum, pair), rows| {
             self.visit_cell(rows, mixture, residual_weights, pair, |value| {
                 visit(sum, value)
             });
@@ -88,10 +87,8 @@ impl Objective<'_> {
                 let [target, variance] = self.captured(light, cell).map(|of| of[channel]);
                 let [a, b] = pair;
                 self.derivatives(rows, light, channel, [a, b]);
-                let nodes = |half: usize| match rows.nodes[half] {
-                    [] => &[][..],
-                    all => &all[row * NODES..(row + 1) * NODES],
-                };
+                let modes = rows.by_modes[0].len() / rows.value[0].len();
+                let along = row * modes..(row + 1) * modes;
                 visit(&Value {
                     light,
                     cell,
@@ -104,7 +101,7 @@ impl Objective<'_> {
                     model,
                     residual: model.map(|m| target - m),
                     by_weights: [a, b],
-                    by_nodes: [nodes(0), nodes(1)],
+                    by_modes: rows.by_modes.map(|all| &all[along.clone()]),
                 });
             }
         }

@@ -32,7 +32,7 @@ impl Objective<'_> {
         let scores = self.accumulate(
             mixture,
             residual_weights,
-            false,
+            None,
             none,
             |sums, value| {
                 for (sums, error) in sums[value.group].iter_mut().zip(errors) {
@@ -77,7 +77,7 @@ impl Objective<'_> {
         let mut total = self.accumulate(
             mixture,
             residual_weights,
-            false,
+            None,
             || vec![none(); groups],
             |sums, value| {
                 let [a, b] = value.by_weights;

@@ -115,7 +115,7 @@ impl Objective<'_> {
     ) -> Linearised {
         let (n, groups, lights) = (self.atoms(), self.groups(), self.lights());
         let group = || (Part::new(n, groups, lights), self.row_pair());
-        let parts = self.evaluate(mixture, false, group, |(part, pair), rows| {
+        let parts = self.evaluate(mixture, None, group, |(part, pair), rows| {
             let mut model = vec![[Modelled::default(); 3]; lights];
             for (light, c) in (0..lights).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
                 let group = self.channels.group(c);

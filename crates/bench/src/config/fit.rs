@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::uncertainty::Deviation;
 use crate::brdf::Dictionary;
+use crate::brdf::discrepancy::Prior;
 use crate::cells;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
@@ -107,6 +108,14 @@ pub struct FitRequest {
     /// [`CacheOptions::max_bytes`] for paths, as far as the machine has them free.
     #[cfg_attr(feature = "clap", arg(long = "memory", value_name = "MIB", value_parser = clap::value_parser!(u64).range(MEMORY_MIB), help = command_line::memory()))]
     pub memory_mib: Option<u64>,
+    /// Bundled measured material that the model discrepancy's prior is not learned from, nor from
+    /// its near duplicates: the truth of simulated images; more than one may be given
+    #[cfg_attr(
+        feature = "clap",
+        arg(id = "left_out", long = "leave-out", value_name = "MATERIAL")
+    )]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<String>,
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
     #[cfg_attr(feature = "clap", arg(long, value_parser = command_line::choice(KERNELS), default_value = "auto", hide_default_value = true))]
     #[serde(skip)]
@@ -208,6 +217,7 @@ impl FitRequest {
         set(&mut options.channels, &self.channels);
         set(&mut options.model_error, &self.model_error);
         set(&mut options.kernel, &self.kernel);
+        options.left_out.extend(self.left_out.iter().cloned());
     }
 
     /// What a record states of these options.
@@ -215,12 +225,16 @@ impl FitRequest {
         Self {
             channels: Some(options.channels),
             model_error: Some(options.model_error),
+            left_out: match &options.left_out[..] {
+                [] => Vec::new(),
+                named => Prior::without(named).left_out().to_vec(),
+            },
             ..Self::default()
         }
     }
 
     /// What of it is shown of a fit, by what it is called there.
-    pub fn shown(&self) -> [(&'static str, Option<String>); 2] {
+    pub fn shown(&self) -> [(&'static str, Option<String>); 3] {
         let yes_no = |channels| match channels {
             Channels::Shared => "yes".to_owned(),
             Channels::Separate => "no".to_owned(),
@@ -230,6 +244,10 @@ impl FitRequest {
             (
                 "Relative model error allowed for",
                 self.model_error.map(|error| error.to_string()),
+            ),
+            (
+                "Materials left out of the prior",
+                (!self.left_out.is_empty()).then(|| self.left_out.join(", ")),
             ),
         ]
     }

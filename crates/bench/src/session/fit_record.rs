@@ -524,7 +524,7 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
         }
         let csv = folder.join(DISCREPANCY_FILE);
         for (discrepancy, channel) in discrepancy.by_channel.iter().zip(["r", "g", "b"]) {
-            let (rows, nodes) = (discrepancy.0.len(), discrepancy::NODES);
+            let (rows, nodes) = (discrepancy.0.len() / 2, discrepancy::NODES);
             if rows != nodes {
                 return Err(out_of_range(
                     &csv,

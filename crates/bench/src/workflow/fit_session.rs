@@ -13,6 +13,7 @@ use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, fit_me
 use crate::calibration::glare::GlareValues;
 use crate::calibration::record::Record;
 use crate::config::RigConfig;
+use crate::config::simulation::MaterialSpec;
 use crate::inverse::bench::with_sample_at;
 use crate::radiance_image::exr::ExrRows;
 use crate::session::commit::SystemDisk;
@@ -113,6 +114,11 @@ pub(super) fn prepared(
     };
     let sample = &config.geometry.sample;
     let mut plan = FitPlan::new(request, Some(&config.fit), &uncertainty, sample.form_error)?;
+    // The prior is not to know what a simulated bench measures.
+    let simulated = config.simulation.as_ref().map(|bench| &bench.material);
+    if let Some(MaterialSpec::Bundled { name, .. }) = simulated {
+        plan.options.left_out.push(name.clone());
+    }
     let glare = records.glare();
     plan.glare = glare.map(|loaded| loaded.record.values.glare());
     let glare_remark = glare.map(|loaded| glare_remark(&loaded.record));

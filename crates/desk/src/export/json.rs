@@ -18,16 +18,18 @@ pub(super) const FORMAT: Format = Format {
 /// Version of the document's layout.
 const VERSION: u32 = 1;
 
-/// ln of what f is more than the mixture's, bilinear in its exponential between the angles.
+/// ln of what f is more than the mixture's, `ln_factor` + `by_cos_2phi` cos 2φd, bilinear in its
+/// exponential between the angles.
 fn discrepancy(discrepancy: &DiscrepancyRecord) -> Value {
-    let by_channel = discrepancy.by_channel.each_ref().map(|d| d.0.as_slice());
+    let by_channel = discrepancy.by_channel.each_ref();
     let nodes: Vec<Value> = discrepancy::nodes()
         .enumerate()
         .map(|(k, node)| {
             json!({
                 "theta_h_deg": node.theta_h_deg,
                 "theta_d_deg": node.theta_d_deg,
-                "ln_factor": by_channel.map(|g| g[k]),
+                "ln_factor": by_channel.map(|g| g.at_node(k)[0]),
+                "by_cos_2phi": by_channel.map(|g| g.at_node(k)[1]),
             })
         })
         .collect();

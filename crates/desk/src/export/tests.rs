@@ -1,11 +1,10 @@
 use std::sync::Arc;
 
 use glam::Vec3;
-use nalgebra::DVector;
 use serde_json::Value;
 
 use super::*;
-use crate::brdf::discrepancy::{self, Discrepancy};
+use crate::brdf::discrepancy::{Discrepancy, NODES, Node};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::session::fit_record::{AngleTable, DiscrepancyRecord, Interval};
 
@@ -39,9 +38,12 @@ fn record(simulated: bool) -> FitRecord {
 /// A fit with a model discrepancy that differs between the channels.
 fn with_discrepancy() -> FitRecord {
     let by_channel = [0.2, -0.3, 0.5].map(|scale| {
-        let nodes = discrepancy::nodes()
-            .map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
-        Discrepancy(DVector::from_iterator(discrepancy::NODES, nodes))
+        let phase = |n: &Node| 0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg;
+        let mut g = Discrepancy::even(|n| scale * phase(n).sin());
+        let slopes = Discrepancy::even(|n| 0.1 * scale * phase(n).cos());
+        g.0.rows_mut(NODES, NODES)
+            .copy_from(&slopes.0.rows(0, NODES));
+        g
     });
     FitRecord {
         discrepancy: Some(DiscrepancyRecord {
@@ -73,7 +75,10 @@ fn json_has_the_discrepancy() {
     let mixture = f(&record.mixture().unwrap());
     let material = f(&*record.material().unwrap());
     for c in 0..3 {
-        let factor = node["ln_factor"][c].as_f64().unwrap().exp();
+        // At φd = 90°, cos 2φd is −1.
+        let [even, slope] =
+            ["ln_factor", "by_cos_2phi"].map(|name| node[name][c].as_f64().unwrap());
+        let factor = (even - slope).exp();
         let ratio = f64::from(material[c] / mixture[c]);
         assert!((ratio / factor - 1.0).abs() < 1e-4, "{ratio} for {factor}");
         assert!((factor - 1.0).abs() > 0.01, "{factor}");

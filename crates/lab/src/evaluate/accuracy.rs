@@ -46,7 +46,7 @@ fn one(
     material: &Arc<Material>,
     (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
-    let estimate = lab.measure(sample, lights, &material.brdf)?;
+    let estimate = lab.measure(sample, lights, material)?;
     let start = lab.score(&estimate.start, &*material.brdf);
     let row = material
         .row(sample)

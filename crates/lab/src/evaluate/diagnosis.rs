@@ -112,7 +112,7 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
         lab.settings.resolution_px,
         sample.lights(lab.settings.lights),
     )?;
-    let options = options(lab, index);
+    let options = options(lab, class_of(kind), index)?;
     let fit = lab
         .fit_with(&scene, &images, &lab.dictionary, &options)?
         .fit;

@@ -141,12 +141,12 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
     let one = |form_error| -> Result<Trial, EvaluateError> {
         let options = FitOptions {
             form_error,
-            ..options(lab, index)
+            ..options(lab, Class::InSpan, index)?
         };
         let fit = fit(&scene, &captured, &lab.dictionary, &options)?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
         let (material, samples) = (&fit.material, &fit.posterior_samples);
-        let cells = intervals::table(material, samples, &theta_h, &theta_d);
+        let cells = intervals::table(material, samples, &theta_h, &theta_d, 90.0);
         let [theta_h, theta_d] = SHARE_AT_DEG;
         let budget = variance_shares::at(material, samples, theta_h, theta_d);
         let share = budget.map_or(0.0, |cell| {

@@ -111,7 +111,7 @@ fn one(
     material: &Arc<Material>,
     (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
-    let estimate = lab.measure(sample, lights, &material.brdf)?;
+    let estimate = lab.measure(sample, lights, material)?;
     let mut row = Row::new()
         .with("material", material.name.as_str())
         .with("shape", sample.name())

@@ -120,14 +120,15 @@ pub(super) fn capture(
         .collect()
 }
 
-/// Options of the fit of one capture: other paths for each.
-pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
+/// Options of the fit of one capture: other paths for each, the material left out of the prior.
+pub(super) fn options(lab: &Lab, class: Class, index: u64) -> Result<FitOptions, EvaluateError> {
+    let all = of_class(lab, class)?;
     let mut options = FitOptions {
         posterior_samples: FitOptions::default().posterior_samples,
-        ..lab.fit_options()
+        ..lab.fit_options_for(all[(index % all.len() as u64) as usize])
     };
     options.cache.seed = lab.settings.seed.wrapping_add(index);
-    options
+    Ok(options)
 }
 
 /// The mixtures of the dictionary's atoms, or all other materials.
@@ -236,7 +237,7 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
     let truth = misaligned::draw(&bench, &mut numbers);
     let scene = bench.scene(&truth);
     let images = capture(lab, sample, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
-    let (dictionary, options) = (&lab.dictionary, options(lab, index));
+    let (dictionary, options) = (&lab.dictionary, options(lab, class, index)?);
     let images = average(&described, &images, dictionary)?;
     let quiet = &();
     let fit = match known {
@@ -251,7 +252,13 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
         }
     };
     let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-    let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta_h, &theta_d);
+    let cells = intervals::table(
+        &fit.material,
+        &fit.posterior_samples,
+        &theta_h,
+        &theta_d,
+        90.0,
+    );
     Ok((values(&*brdf), cells))
 }
 

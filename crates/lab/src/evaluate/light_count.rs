@@ -40,7 +40,7 @@ fn one(
     material: &Arc<Material>,
     (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
-    let estimate = lab.measure(sample, lights, &material.brdf)?;
+    let estimate = lab.measure(sample, lights, material)?;
     let row = material
         .row(sample)
         .with("lights", lights)

@@ -96,7 +96,7 @@ fn one(
 
     // Fits on the true bench, on the described one, and on the refined one.
     let captured = average(&described, &captured, &lab.dictionary)?;
-    let options = lab.fit_options();
+    let options = lab.fit_options_for(material);
     let refined = refine_bench(
         &described,
         &captured,

@@ -173,7 +173,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         let scene = sample.scene(lab.settings.resolution_px, lights.clone())?;
                         let options = FitOptions {
                             posterior_samples: POSTERIOR_SAMPLES,
-                            ..lab.fit_options()
+                            ..lab.fit_options_for(&material)
                         };
                         let estimate =
                             lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;
@@ -189,6 +189,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                             &fit.posterior_samples,
                             &theta_h,
                             &theta_d,
+                            90.0,
                         );
                         let row = row.and(lab.score_row(&estimate.fit.material, &material)?);
                         Ok(vec![row.with("interval_width", width(&table))])

@@ -48,7 +48,7 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
             .with("sensor", sensor)
             .with("exposures", exposures)
     };
-    let clean = lab.fit_scene(&scene, &captured)?;
+    let clean = lab.fit_scene(&scene, &captured, material)?;
     let noise_free = lab.score(&clean.fit.material, &*material.brdf).environment;
     let mut rows = vec![row("noise-free", 0).and(lab.score_row(&clean.fit.material, material)?)];
     for (name, bit_depth, full_well_e, read_noise_e) in SENSORS {
@@ -62,7 +62,7 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
                 seed: lab.settings.seed,
             };
             let taken = photograph(&photographer, &captured)?;
-            let estimate = lab.fit_scene(&scene, &taken)?;
+            let estimate = lab.fit_scene(&scene, &taken, material)?;
             let scores = lab.score_row(&estimate.fit.material, material)?;
             let ratio = scores.number("environment_error").map(|e| e / noise_free);
             rows.push(

@@ -70,7 +70,7 @@ fn compare(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Ro
             adapt_paths: false,
             // Where the optimisers themselves end.
             posterior_samples: 0,
-            ..lab.fit_options()
+            ..lab.fit_options_for(material)
         };
         let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;
         let error = lab

@@ -180,7 +180,7 @@ fn one(
     };
     let rendered = lab.render_truth(&truth, &*material.brdf);
     let captured = photograph(&photographer, &rendered)?;
-    let estimate = lab.fit_scene(&believed, &captured)?;
+    let estimate = lab.fit_scene(&believed, &captured, material)?;
     lab.score_row(&estimate.fit.material, material)
 }
 

@@ -98,7 +98,7 @@ fn one(
 ) -> Result<Vec<Row>, EvaluateError> {
     let lights = sample.lights(1);
     let (captured, truth) = capture(lab, sample, &lights, &material.brdf, deviation)?;
-    let estimate = lab.fit(sample, &lights, &captured)?;
+    let estimate = lab.fit(sample, &lights, &captured, material)?;
     let figures = lab.score(&estimate.fit.material, &*truth);
     Ok(vec![
         Row::new()

@@ -26,7 +26,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
 }
 
 fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
-    let estimate = lab.measure(sample, 1, &material.brdf)?;
+    let estimate = lab.measure(sample, 1, material)?;
     let row = material.row(sample);
     let start = lab.score(&estimate.start, &*material.brdf);
     Ok(vec![

@@ -53,7 +53,7 @@ fn one(
         .with("material", material.name.as_str())
         .with("source", source);
     Ok(match (source, Sample::named(source)) {
-        (_, Some(sample)) => rows(&lab.measure(sample, 1, &material.brdf)?.fit.material, &row),
+        (_, Some(sample)) => rows(&lab.measure(sample, 1, material)?.fit.material, &row),
         ("truth", _) => rows(&*material.brdf, &row),
         _ => rows(&lab.cells().reference_projection(&*material.brdf)?, &row),
     })

@@ -191,7 +191,7 @@ fn one(lab: &Lab, material: &Arc<Material>, fault: Fault) -> Result<Vec<Row>, Ev
     let sound = sample.true_scene(lab.settings.resolution_px, lights.clone())?;
     let truth = fault.scene(sound, lab.settings.seed)?;
     let captured = photograph(&SENSOR, &lab.render_truth(&truth, &*material.brdf))?;
-    let estimate = lab.fit(sample, &lights, &captured)?;
+    let estimate = lab.fit(sample, &lights, &captured, material)?;
     let score = lab.score(&estimate.fit.material, &*material.brdf);
     let (amount, unit) = fault.amount();
     let row = material

@@ -14,7 +14,7 @@ fn the_command_line_has_the_options_that_are_read_by_key() {
         "samples_per_pixel" => "samples_per_cell".to_owned(),
         _ => key,
     });
-    let others = ["mask", "uncertainty"].map(str::to_owned);
+    let others = ["mask", "uncertainty", "left_out"].map(str::to_owned);
     let keys: BTreeSet<String> = keys.chain(others).collect();
 
     let command = <FitRequest as clap::Args>::augment_args(clap::Command::new("fit"));

@@ -66,8 +66,7 @@ pub fn fit() -> FitRecord {
         outlier_fraction: vec![0.0, 0.01],
         discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.35,
-            by_channel: [0.1, -0.2, 0.0]
-                .map(|g| Discrepancy(nalgebra::DVector::from_element(discrepancy::NODES, g))),
+            by_channel: [0.1, -0.2, 0.0].map(|g| Discrepancy::even(|_| g)),
         }),
         posterior: Some(PosteriorRecord {
             samples: [0.25, 0.5]

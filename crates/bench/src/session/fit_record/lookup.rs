@@ -59,7 +59,7 @@ impl FitRecord {
         let at = |&angles @ [theta_h_deg, theta_d_deg]: &[f64; 2]| {
             let dictionary = material.mixture.dictionary();
             let atoms = dictionary.values_at(theta_h_deg, theta_d_deg);
-            let value = material.at(&atoms, theta_h_deg, theta_d_deg);
+            let value = material.at(&atoms, theta_h_deg, theta_d_deg, 90.0);
             let Some(around) = self.table.around(angles) else {
                 return Interval {
                     value,

@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use nalgebra::DVector;
-
 use super::{FitRecord, FitRecordError, out_of_range};
-use crate::brdf::discrepancy::{Discrepancy, Material, NODES};
+use crate::brdf::discrepancy::{Discrepancy, EARLIER_VALUES, Material, VALUES};
 use crate::brdf::{BrdfError, Mixture};
 use crate::inverse::Fit;
 
@@ -20,7 +18,7 @@ const ALIGNMENT: usize = 64;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PosteriorRecord {
     /// Of each sample, of R, G and B: the weight of each atom, then, where the fit has a model
-    /// discrepancy, its value at each node.
+    /// discrepancy, g₀ at each node and g₁ at each (fits of before: g₀ at the nodes of their time).
     pub samples: Vec<[Vec<f32>; 3]>,
 }
 
@@ -47,7 +45,7 @@ impl PosteriorRecord {
         Some(Self { samples })
     }
 
-    /// The bytes of `posterior.npy`, of shape (samples, 3, atoms and nodes).
+    /// The bytes of `posterior.npy`, of shape (samples, 3, atoms and values of the discrepancy).
     pub(super) fn to_npy(&self) -> Vec<u8> {
         let (samples, columns) = (self.samples.len(), self.columns());
         let mut header = format!(
@@ -120,9 +118,9 @@ impl PosteriorRecord {
 
     /// Whether the samples have the atoms of a fit.
     pub(super) fn check(&self, path: &Path, atoms: usize) -> Result<(), FitRecordError> {
-        let (columns, with_nodes) = (self.columns(), atoms + NODES);
-        if self.samples.is_empty() || (columns != atoms && columns != with_nodes) {
-            let allowed = format!("{atoms}, or {with_nodes} with a model discrepancy");
+        let (columns, whole, earlier) = (self.columns(), atoms + VALUES, atoms + EARLIER_VALUES);
+        if self.samples.is_empty() || ![atoms, whole, earlier].contains(&columns) {
+            let allowed = format!("{atoms}, or {whole} (once {earlier}) with a model discrepancy");
             return Err(out_of_range(path, "values of a sample", columns, &allowed));
         }
         Ok(())
@@ -152,11 +150,9 @@ impl FitRecord {
             });
             let mixture = Mixture::new(dictionary.clone(), weights)?;
             let discrepancies = [0, 1, 2].map(|c| {
-                let values = sample[c].get(atoms..).filter(|rest| rest.len() == NODES);
-                let values = values.map(|rest| rest.iter().map(|&value| f64::from(value)));
-                values.map_or_else(Discrepancy::none, |values| {
-                    Discrepancy(DVector::from_iterator(NODES, values))
-                })
+                let values = sample[c].iter().skip(atoms);
+                let values: Vec<f64> = values.map(|&value| f64::from(value)).collect();
+                Discrepancy::from_values(&values).unwrap_or_else(Discrepancy::none)
             });
             Ok(Material::new(mixture, &discrepancies))
         };

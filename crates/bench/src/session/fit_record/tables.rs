@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use csv::{DeserializeErrorKind, ErrorKind, ReaderBuilder, StringRecord, Trim, Writer};
-use nalgebra::DVector;
 use serde::de::DeserializeOwned;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
@@ -36,6 +35,7 @@ impl AngleTable {
             &fit.posterior_samples,
             &theta_h_deg,
             &theta_d_deg,
+            90.0,
         );
         Self {
             theta_h_deg,
@@ -116,13 +116,19 @@ const TABLE_COLUMNS: [&str; 12] = [
     "upper_b",
     "constrained",
 ];
-const DISCREPANCY_COLUMNS: [&str; 5] = [
+/// ln of the factor, without and by cos 2φd.
+const DISCREPANCY_COLUMNS: [&str; 8] = [
     "theta_h_deg",
     "theta_d_deg",
     "ln_factor_r",
     "ln_factor_g",
     "ln_factor_b",
+    "by_cos_2phi_r",
+    "by_cos_2phi_g",
+    "by_cos_2phi_b",
 ];
+/// Of tables of before, which have no φd and fewer nodes.
+const EARLIER_DISCREPANCY_COLUMNS: usize = 5;
 const TRACE_COLUMNS: [&str; 3] = ["step", "loss", "seconds"];
 
 /// A table of comma-separated values; numbers are written so that they are read back exactly.
@@ -173,11 +179,10 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
 pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
     let rows = discrepancy::nodes().enumerate().map(|(k, node)| {
         let mut cells = vec![exact(&node.theta_h_deg), exact(&node.theta_d_deg)];
-        cells.extend(
-            discrepancies
-                .iter()
-                .map(|discrepancy| exact(&discrepancy.0[k])),
-        );
+        for which in 0..2 {
+            let of_node = |d: &Discrepancy| exact(&d.at_node(k)[which]);
+            cells.extend(discrepancies.iter().map(of_node));
+        }
         cells
     });
     to_csv(&DISCREPANCY_COLUMNS, rows)
@@ -316,25 +321,48 @@ pub(super) fn discrepancy_from_csv(
     path: &Path,
     csv: &str,
 ) -> Result<[Discrepancy; 3], FitRecordError> {
-    let columns = &DISCREPANCY_COLUMNS;
+    let earlier = !csv
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .contains(DISCREPANCY_COLUMNS[5]);
+    let (columns, nodes): (_, Vec<[f64; 2]>) = if earlier {
+        let columns = &DISCREPANCY_COLUMNS[..EARLIER_DISCREPANCY_COLUMNS];
+        (columns, Discrepancy::earlier_nodes().collect())
+    } else {
+        let nodes = discrepancy::nodes().map(|n| [n.theta_h_deg, n.theta_d_deg]);
+        (&DISCREPANCY_COLUMNS[..], nodes.collect())
+    };
     let source = Source { path, columns };
-    let mut nodes = discrepancy::nodes();
-    let mut by_channel: [Vec<f64>; 3] = Default::default();
-    for (line, (angles, ln_factors)) in source.rows::<([f64; 2], [f64; 3])>(csv)? {
-        let node = nodes.next();
-        if node.is_none_or(|n| [n.theta_h_deg, n.theta_d_deg] != angles) {
-            let wanted = node.map_or_else(
-                || "no further row".to_owned(),
-                |n| format!("{}, {}", n.theta_h_deg, n.theta_d_deg),
-            );
+    let rows: Vec<(u64, ([f64; 2], [f64; 3], [f64; 3]))> = if earlier {
+        let rows = source.rows::<([f64; 2], [f64; 3])>(csv)?.into_iter();
+        rows.map(|(line, (angles, even))| (line, (angles, even, [0.0; 3])))
+            .collect()
+    } else {
+        source.rows(csv)?
+    };
+    if rows.len() < nodes.len() {
+        let allowed = nodes.len().to_string();
+        return Err(out_of_range(path, "number of rows", rows.len(), &allowed));
+    }
+    let mut by_channel: [[Vec<f64>; 2]; 3] = Default::default();
+    for (k, (line, (angles, even, by_cos_2phi))) in rows.into_iter().enumerate() {
+        if nodes.get(k) != Some(&angles) {
+            let wanted = nodes
+                .get(k)
+                .map_or_else(|| "no further row".to_owned(), |[h, d]| format!("{h}, {d}"));
             let fact = format!("{}, {} where {wanted} belongs", angles[0], angles[1]);
             return Err(source.error(line, "theta_h_deg, theta_d_deg", fact));
         }
-        for (values, value) in by_channel.iter_mut().zip(ln_factors) {
-            values.push(value);
+        for (values, parts) in by_channel.iter_mut().zip(even.into_iter().zip(by_cos_2phi)) {
+            values[0].push(parts.0);
+            values[1].push(parts.1);
         }
     }
-    Ok(by_channel.map(|values| Discrepancy(DVector::from_vec(values))))
+    Ok(by_channel.map(|[even, by_cos_2phi]| {
+        let slopes = if earlier { Vec::new() } else { by_cos_2phi };
+        Discrepancy::from_values(&[even, slopes].concat()).unwrap_or_else(Discrepancy::none)
+    }))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {

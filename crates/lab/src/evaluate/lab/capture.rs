@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use super::{Lab, Sample};
+use super::{Lab, Material, Sample};
 use crate::bench_priors::BenchPriors;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::cells::{Captured, CellOptions};
@@ -64,24 +64,35 @@ impl Lab {
         }
     }
 
-    /// Fits the laboratory's dictionary to images of `sample` under `lights`.
+    /// The same for images of `material`, which the fit's prior is not learned from.
+    pub fn fit_options_for(&self, material: &Material) -> FitOptions {
+        FitOptions {
+            left_out: vec![material.name.clone()],
+            ..self.fit_options()
+        }
+    }
+
+    /// Fits the laboratory's dictionary to images of `material` on `sample` under `lights`.
     pub fn fit(
         &self,
         sample: Sample,
         lights: &[Light],
         captured: &[RadianceImage],
+        material: &Material,
     ) -> Result<Estimate, EvaluateError> {
         let scene = sample.scene(self.settings.resolution_px, lights.to_vec())?;
-        self.fit_scene(&scene, captured)
+        self.fit_scene(&scene, captured, material)
     }
 
-    /// Fits the laboratory's dictionary to images of any scene.
+    /// Fits the laboratory's dictionary to images of `material` in any scene.
     pub fn fit_scene(
         &self,
         scene: &Scene,
         captured: &[RadianceImage],
+        material: &Material,
     ) -> Result<Estimate, EvaluateError> {
-        self.fit_with(scene, captured, &self.dictionary, &self.fit_options())
+        let options = self.fit_options_for(material);
+        self.fit_with(scene, captured, &self.dictionary, &options)
     }
 
     /// Fits any dictionary to images of any scene.
@@ -105,11 +116,11 @@ impl Lab {
         &self,
         sample: Sample,
         lights: usize,
-        brdf: &Arc<dyn Brdf>,
+        material: &Material,
     ) -> Result<Estimate, EvaluateError> {
         let lights = sample.lights(lights);
-        let captured = self.capture(sample, &lights, &**brdf)?;
-        self.fit(sample, &lights, &captured)
+        let captured = self.capture(sample, &lights, &*material.brdf)?;
+        self.fit(sample, &lights, &captured, material)
     }
 }
 
