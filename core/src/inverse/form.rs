@@ -168,7 +168,9 @@ pub(super) mod tests {
         let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
         let weights = std::array::from_fn(|_| vec![0.4, 0.4, 0.2]);
         let truth = Mixture::new(dictionary.clone(), weights).unwrap();
-        let scene = bowl(12);
+        // On coarser images cells along the rim, where 1° is no small change, are outliers to the
+        // fit, which scatters less than predicted.
+        let scene = bowl(48);
         let photograph = |scene: &Scene| -> Vec<RadianceImage> {
             let options = RenderOptions {
                 samples_per_pixel: 64,
