@@ -189,7 +189,7 @@ pub(super) mod tests {
         options.cache.max_reflections = 3;
         let quiet = &();
         let averaged = |images: &[RadianceImage]| {
-            Captured::new(&scene, images, &CellOptions::exact()).unwrap()
+            Captured::new(&scene, images, &CellOptions::default()).unwrap()
         };
         let images = photograph(&scene);
         let cells = averaged(&images).cells;
