@@ -8,6 +8,7 @@ use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use rig::brdf::nbrdf::NAMES;
 use rig::config::fit::{FitRequest, Source};
 use rig::config::uncertainty::Deviation;
 
@@ -136,10 +137,23 @@ pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<
             None => Vec::new(),
         },
         pose: keywords.take("pose")?,
+        left_out: embedded(keywords.take("leave_out")?.unwrap_or_default())?,
         ..request
     };
     keywords.finish()?;
     Ok(request)
+}
+
+/// Names of embedded materials.
+fn embedded(names: Vec<String>) -> PyResult<Vec<String>> {
+    let unknown = names.iter().find(|name| !NAMES.contains(&name.as_str()));
+    match unknown {
+        None => Ok(names),
+        Some(name) => Err(input(format!(
+            "leave_out names {name:?}, but must name bundled materials (materials())"
+        ))
+        .into()),
+    }
 }
 
 fn deviations(uncertainty: &Bound<'_, PyDict>) -> PyResult<Vec<Deviation>> {

@@ -248,6 +248,7 @@ def test_choices_of_a_fit(scene, images, tmp_path):
         ({"uncertainty": {"light_deg": 1}}, rig.InputError, "not refined"),
         ({"mask": tmp_path / "no.png"}, rig.InputError, "no.png"),
         ({"spp": 1}, rig.InputError, "spp is 1, but must be from 2"),
+        ({"leave_out": ["felt"]}, rig.InputError, 'leave_out names "felt"'),
         ({"spp": 16, "samples_per_cell": 16}, TypeError, "both 'spp' and 'samples_per_cell'"),
         ({"memory": 1}, rig.InputError, "memory is 1, but must be from 16"),
         ({"samples": 16}, TypeError, "unexpected keyword argument 'samples'"),

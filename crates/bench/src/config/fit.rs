@@ -112,7 +112,7 @@ pub struct FitRequest {
     /// its near duplicates: the truth of simulated images; more than one may be given
     #[cfg_attr(
         feature = "clap",
-        arg(id = "left_out", long = "leave-out", value_name = "MATERIAL")
+        arg(id = "left_out", long = "leave-out", value_name = "MATERIAL", value_parser = crate::brdf::nbrdf::NAMES, hide_possible_values = true)
     )]
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
