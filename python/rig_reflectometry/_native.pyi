@@ -47,6 +47,7 @@ class _FitOptions(TypedDict, total=False):
     kernel: _Kernel | None
     refine_bench: bool | None
     uncertainty: Mapping[str, float] | None
+    leave_out: Sequence[str] | None
     samples_per_cell: int | None  # spp
     memory_mib: int | None  # memory
 
@@ -140,7 +141,9 @@ class Fit:
     def weight_deviations(self) -> NDArray[np.float64]: ...
     @property
     def table(self) -> Table: ...
-    def interval(self, theta_h_deg: ArrayLike, theta_d_deg: ArrayLike) -> Interval: ...
+    def interval(
+        self, theta_h_deg: ArrayLike, theta_d_deg: ArrayLike, phi_d_deg: ArrayLike | None = None
+    ) -> Interval: ...
     @property
     def verdict(self) -> Literal["explains", "reservations", "not-to-be-trusted"]: ...
     @property

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::{PyBytes, PyDict, PyFloat, PyTuple};
 use rig::export::{self, FORMATS, Format};
 use rig::progress::OnePhase;
 use rig::rendering::deviations;
@@ -153,30 +153,37 @@ impl Fit {
         )
     }
 
-    /// f with its 95% interval at half and difference angles, degrees within 0 and 90, at a
-    /// difference azimuth of 90°; see Interval. The two are broadcast: theta_h_deg[:, None] and
-    /// theta_d_deg make a grid.
+    /// f with its 95% interval at half and difference angles, degrees within 0 and 90, and
+    /// difference azimuths phi_d_deg, degrees; see Interval. The three are broadcast:
+    /// theta_h_deg[:, None] and theta_d_deg make a grid.
     ///
-    /// In the cells of the table it is the table's; between them f is the BRDF's, and the interval,
-    /// relative to f, is interpolated. Raises InputError for angles out of range.
+    /// In the cells of the table, which is at an azimuth of 90°, it is the table's; elsewhere f is
+    /// the BRDF's, and the interval is as wide, relative to f, as there, interpolated between the
+    /// cells. f is 0 where a direction lies below the horizon. Raises InputError for angles out of
+    /// range.
+    #[pyo3(signature = (theta_h_deg, theta_d_deg, phi_d_deg = None))]
     fn interval(
         &self,
         py: Python<'_>,
         theta_h_deg: &Bound<'_, PyAny>,
         theta_d_deg: &Bound<'_, PyAny>,
+        phi_d_deg: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Py<PyAny>> {
-        let names = ["theta_h_deg", "theta_d_deg"];
+        let names = ["theta_h_deg", "theta_d_deg", "phi_d_deg"];
+        let right_angle = PyFloat::new(py, 90.0).into_any();
         let given = [
             arrays::numbers(theta_h_deg, names[0])?,
             arrays::numbers(theta_d_deg, names[1])?,
+            arrays::numbers(phi_d_deg.unwrap_or(&right_angle), names[2])?,
         ];
-        let ranges = [0.0..=90.0, 0.0..=90.0];
+        let ranges = [0.0..=90.0, 0.0..=90.0, -360.0..=360.0];
         let Columns { columns, shape } = Columns::of(&given, names, ranges, BYTES_PER_INTERVAL)?;
-        let [half, difference] = columns;
+        let [half, difference, azimuth] = columns;
         let angles: Vec<_> = half
             .into_iter()
             .zip(difference)
-            .map(|(h, d)| [h, d])
+            .zip(azimuth)
+            .map(|((h, d), phi)| [h, d, phi])
             .collect();
         let found = py
             .detach(|| self.record.intervals(&angles))
@@ -445,7 +452,7 @@ fn budget_record(py: Python<'_>, budget: &BudgetRecord) -> PyResult<Py<PyAny>> {
 /// The keywords of the options of a fit, as signatures state them.
 macro_rules! fit_keywords {
     () => {
-        "dictionary=None, optimizer=None, spp=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory=None, kernel=None, refine_bench=None, uncertainty=None, samples_per_cell=None, memory_mib=None"
+        "dictionary=None, optimizer=None, spp=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory=None, kernel=None, refine_bench=None, uncertainty=None, leave_out=None, samples_per_cell=None, memory_mib=None"
     };
 }
 pub(crate) use fit_keywords;
@@ -466,6 +473,8 @@ pub(crate) use fit_keywords;
 /// kernel: "portable", "avx2", "avx512" or "auto".
 /// refine_bench: refine lights and pose too, within the scene file's uncertainty, of which
 ///     uncertainty, a dictionary such as {"light_deg": 0.5}, replaces values.
+/// leave_out: names of bundled materials that the prior of the model discrepancy is not learned
+///     from: the truth of simulated images.
 /// out: folder in which to keep the fit, as Fit.save.
 /// samples_per_cell, memory_mib: the same as spp and memory.
 /// progress: called as progress(phase, done, total) with thousandths of the fit's time.

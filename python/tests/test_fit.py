@@ -97,6 +97,9 @@ def test_an_interval_is_the_tables_or_between_its_cells(quick_fit):
     assert (between.lower <= between.value).all() and (between.value <= between.upper).all()
     f = quick_fit.brdf.table([15.0], [10.0, 37.0])
     np.testing.assert_allclose(between.value[:, 0], f[0], rtol=1e-4)
+    at_90, in_plane = quick_fit.interval(15.0, 37.0, [90.0, 0.0]).value
+    assert np.array_equal(at_90, between.value[1, 0])
+    np.testing.assert_allclose(in_plane, quick_fit.brdf.at(52.0, 22.0, 180.0), rtol=1e-4)
     # As wide as the cells around, relative to f.
     i, j = np.searchsorted(table.theta_h_deg, 15.0), np.searchsorted(table.theta_d_deg, 10.0)
     around = np.s_[i - 1 : i + 1, j - 1 : j + 1]

@@ -1,7 +1,7 @@
 //! The table at any pair of angles.
 
 use super::{AngleTable, FitRecord, Interval};
-use crate::brdf::BrdfError;
+use crate::brdf::{BrdfError, HalfDifference};
 
 /// Values below this count as this where logarithms are taken, 1/sr.
 pub const SMALLEST: f64 = 1e-6;
@@ -46,21 +46,25 @@ impl AngleTable {
 }
 
 impl FitRecord {
-    /// The BRDF and its 95% interval at pairs of half and difference angles (degrees, 0 to 90), at
-    /// φd = 90°, as [`Fit::interval`](crate::inverse::Fit::interval) has them while all posterior
-    /// samples are there. The BRDF is the material's; relative to it the interval is that of the
-    /// table, in its cells the same, between them interpolated, and the images constrain it where
-    /// they constrain every cell around.
+    /// The BRDF and its 95% interval at half and difference angles (degrees, 0 to 90) and azimuths
+    /// φd (degrees), as [`Fit::intervals_at`](crate::inverse::Fit::intervals_at) has them while all
+    /// posterior samples are there. The BRDF is the material's; relative to it the interval is
+    /// that of the table, which is at φd = 90°: in its cells the same, between them interpolated.
+    /// The images constrain it where they constrain every cell around.
     ///
     /// # Errors
     /// As of [`FitRecord::mixture`].
-    pub fn intervals(&self, angles_deg: &[[f64; 2]]) -> Result<Vec<Interval>, BrdfError> {
+    pub fn intervals(&self, angles_deg: &[[f64; 3]]) -> Result<Vec<Interval>, BrdfError> {
         let material = self.fitted()?;
-        let at = |&angles @ [theta_h_deg, theta_d_deg]: &[f64; 2]| {
+        let at = |&[theta_h_deg, theta_d_deg, phi_d_deg]: &[f64; 3]| {
             let dictionary = material.mixture.dictionary();
-            let atoms = dictionary.values_at(theta_h_deg, theta_d_deg);
-            let value = material.at(&atoms, theta_h_deg, theta_d_deg, 90.0);
-            let Some(around) = self.table.around(angles) else {
+            let atoms = dictionary.values_of(HalfDifference {
+                theta_h_rad: theta_h_deg.to_radians(),
+                theta_d_rad: theta_d_deg.to_radians(),
+                phi_d_rad: phi_d_deg.to_radians(),
+            });
+            let value = material.at(&atoms, theta_h_deg, theta_d_deg, phi_d_deg);
+            let Some(around) = self.table.around([theta_h_deg, theta_d_deg]) else {
                 return Interval {
                     value,
                     lower: value,
@@ -68,7 +72,8 @@ impl FitRecord {
                     constrained: false,
                 };
             };
-            if let Some((cell, _)) = around.iter().find(|(_, share)| *share == 1.0) {
+            let whole = around.iter().find(|(_, share)| *share == 1.0);
+            if let Some((cell, _)) = whole.filter(|_| phi_d_deg == 90.0) {
                 return **cell;
             }
             let end =
