@@ -26,11 +26,9 @@ const GO_ON: &str = "the same command goes on with the queue";
 
 /// What `rig capture --queue` was asked for.
 pub(super) struct QueueRequest<'a> {
-    /// Which bench.
     pub(super) rig: &'a ResolvedRig,
     /// The list of samples.
     pub(super) file: &'a Path,
-    /// The folder of the sessions.
     pub(super) folder: &'a Path,
     /// Lights of samples that name none.
     pub(super) lights: Option<Lights>,

@@ -47,7 +47,6 @@ fn warn(context: &Context, lines: Option<&EventLines>, text: &str) {
 
 /// What came of a capture.
 pub(super) struct Ran {
-    /// How it ended.
     pub(super) ended: Result<Outcome, CaptureError>,
     /// How long it took, seconds.
     pub(super) elapsed_s: f64,

@@ -36,31 +36,21 @@ pub struct CellImage {
 
 /// Images that cannot be those of a scene.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum AverageError {
     /// Numbers of images and lights differ.
     #[error("{images} images for {lights} lights of the scene")]
-    ImageCount {
-        /// Images given.
-        images: usize,
-        /// Lights of the scene.
-        lights: usize,
-    },
+    ImageCount { images: usize, lights: usize },
     /// More lights than can be fitted together.
     #[error("{lights} lights; at most {MAX_LIGHTS} can be fitted together")]
-    TooManyLights {
-        /// Lights of the scene.
-        lights: usize,
-    },
+    TooManyLights { lights: usize },
     /// An image does not have the camera's size.
     #[error(
         "image {image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1]
     )]
     ImageSize {
-        /// Index of the image.
         image: usize,
-        /// Its width.
         width: usize,
-        /// Its height.
         height: usize,
         /// The camera's width and height.
         expected: [usize; 2],

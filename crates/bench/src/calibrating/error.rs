@@ -20,21 +20,18 @@ use crate::workflow::WorkflowError;
 
 /// A calibration made no record. A wrapped error shows its own text and is the `source`.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum CalibratingError {
     /// No record can be kept in the folder.
     #[error("{}: {source}", folder.display())]
     Folder {
-        /// The folder of the records.
         folder: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// A figure or page cannot be written.
     #[error("{}: {source}", path.display())]
     File {
-        /// The file or its folder.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// The place of the records is in the program.
@@ -77,41 +74,27 @@ pub enum CalibratingError {
     Flat(#[from] FlatError),
     /// A flat field needs the sensor's noise.
     #[error("there is no sensor record in {place}")]
-    NoSensor {
-        /// Where it was looked for.
-        place: String,
-    },
+    NoSensor { place: String },
 
     /// The lamp cannot be watched.
     #[error("{0}")]
     Lamp(#[from] WatchError),
     /// Another channel than the lamp has.
     #[error("the lamp has no channel {channel}")]
-    NoChannel {
-        /// Which.
-        channel: u8,
-        /// How many it has.
-        channels: usize,
-    },
+    NoChannel { channel: u8, channels: usize },
 
     /// A bracket gives no response.
     #[error("{0}")]
     Response(#[from] ResponseError),
     /// Frames of a linear camera.
     #[error("{} has {bits} bits, and a response is of 8", path.display())]
-    Bits {
-        /// The frame.
-        path: PathBuf,
-        /// Its bits.
-        bits: u32,
-    },
+    Bits { path: PathBuf, bits: u32 },
     /// A part of the frames that they do not have.
     #[error(
         "the region of {} x {} pixels at ({}, {}) is empty or not inside the {} x {} frames",
         region.width, region.height, region.x, region.y, frame_px[0], frame_px[1]
     )]
     NotInside {
-        /// The part.
         region: Region,
         /// Columns and rows of the frames.
         frame_px: [usize; 2],
@@ -127,8 +110,5 @@ pub enum CalibratingError {
 
     /// A session that holds no image.
     #[error("{} has no images", session.display())]
-    NoImages {
-        /// Its folder.
-        session: PathBuf,
-    },
+    NoImages { session: PathBuf },
 }

@@ -23,14 +23,12 @@ pub struct SensorRequest<'a> {
 }
 
 /// A sensor as measured.
+#[allow(missing_docs)]
 pub struct MeasuredSensor {
-    /// The camera.
     pub info: CameraInfo,
-    /// The sensor.
     pub fit: SensorFit,
     /// The same in the terms of EMVA 1288.
     pub emva1288: Emva1288,
-    /// How it was measured.
     pub method: String,
     sensor_c: Option<f64>,
 }

@@ -100,6 +100,7 @@ impl GlareRequest<'_> {
 
 /// Why an image gives no glare.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum GlareError {
     /// No trap is named.
     #[error("no trap is named")]
@@ -110,7 +111,6 @@ pub enum GlareError {
         region.width, region.height, region.x, region.y, size[0], size[1]
     )]
     Region {
-        /// The region.
         region: Region,
         /// Width and height of the image.
         size: [usize; 2],
@@ -119,20 +119,12 @@ pub enum GlareError {
     #[error(
         "the traps have {percent:.1}% of the card's radiance; at most {MAX_TRAP_PERCENT}% can be glare"
     )]
-    NotDark {
-        /// Radiance over that of the card, percent.
-        percent: f64,
-    },
+    NotDark { percent: f64 },
     /// More light than the stated reflectance explains is not there.
     #[error(
         "the traps have {percent:.3}% of the card's radiance, less than the {stated_percent:.3}% that they are stated to reflect"
     )]
-    Darker {
-        /// Radiance over that of the card, percent.
-        percent: f64,
-        /// Stated reflectance, percent.
-        stated_percent: f64,
-    },
+    Darker { percent: f64, stated_percent: f64 },
 }
 
 /// Pixels that a trap must have.

@@ -44,13 +44,11 @@ fn pairs<S: Serializer>(levels: &[LampLevel], to: S) -> Result<S::Ok, S::Error> 
 
 /// Why levels do not make a calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum LampFitError {
     /// Too few levels.
     #[error("{found} levels, and at least {MIN_LEVELS} are needed")]
-    TooFew {
-        /// How many there are.
-        found: usize,
-    },
+    TooFew { found: usize },
     /// The scene is not lit by the lamp.
     #[error("the lamp adds no light to what the camera sees")]
     NoLight,
@@ -58,12 +56,7 @@ pub enum LampFitError {
     #[error(
         "the lamp is still warming up: it was watched for {watched_s:.0} s, and its time constant is about {constant_s:.0} s"
     )]
-    StillWarming {
-        /// How long it was watched, seconds.
-        watched_s: f64,
-        /// Time constant, seconds.
-        constant_s: f64,
-    },
+    StillWarming { watched_s: f64, constant_s: f64 },
     /// Something else changed: the lamp or the scene moved, a door opened.
     #[error(
         "the light jumped by {percent:.1}% after {time_s:.0} s, which neither warm-up nor drift does"
@@ -71,7 +64,6 @@ pub enum LampFitError {
     Jump {
         /// Largest step between two levels beyond the fit's, percent.
         percent: f64,
-        /// When, seconds after switching on.
         time_s: f64,
     },
 }

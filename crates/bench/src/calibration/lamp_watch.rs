@@ -32,6 +32,7 @@ impl WatchOptions {
 
 /// What stops a watch.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum WatchError {
     /// A device failed.
     #[error(transparent)]
@@ -46,11 +47,8 @@ pub enum WatchError {
     Exposure {
         /// Ninth decile of the counts above those without lamp at the last try, DN.
         reached_dn: i64,
-        /// Largest count.
         full_scale_dn: f64,
-        /// The camera's shortest exposure, seconds.
         shortest_s: f64,
-        /// The longest that was tried, seconds.
         longest_s: f64,
     },
 }

@@ -45,6 +45,7 @@ impl Default for ProcedureOptions {
 
 /// What stops a calibration.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProcedureError {
     /// The camera failed.
     #[error(transparent)]
@@ -57,18 +58,10 @@ pub enum ProcedureError {
     Flat(#[from] FlatError),
     /// The light is too dim to saturate the sensor.
     #[error("the light brings the sensor to {reached_dn} DN in {longest_s} s, not to saturation")]
-    TooDim {
-        /// Median count at the longest exposure, DN.
-        reached_dn: u16,
-        /// The longest exposure, seconds.
-        longest_s: f64,
-    },
+    TooDim { reached_dn: u16, longest_s: f64 },
     /// The light saturates the sensor in the shortest exposure.
     #[error("the light saturates the sensor in the shortest exposure of {shortest_s} s")]
-    TooBright {
-        /// The camera's shortest exposure, seconds.
-        shortest_s: f64,
-    },
+    TooBright { shortest_s: f64 },
     /// No frames without the light, but with all other, can be had.
     #[error("the light was not switched off")]
     NotOff,

@@ -75,12 +75,11 @@ impl Kind {
 /// One calibration, as its file has it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
 pub struct Record<V> {
     /// The file's name without `.toml`; starts with the date by custom.
     pub id: String,
-    /// What it is about.
     pub kind: Kind,
-    /// Name of the rig.
     pub rig: String,
     /// Serial number of the device it was measured on.
     pub device_serial: String,
@@ -96,7 +95,6 @@ pub struct Record<V> {
     /// The settings to which the values belong.
     #[serde(default)]
     pub settings: Settings,
-    /// What was found.
     pub values: V,
 }
 
@@ -133,12 +131,11 @@ pub struct Measured {
 
 /// A value that no bench can have.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct BadValue {
     /// Dotted path of the key.
     pub key: String,
-    /// Its value.
     pub value: String,
-    /// What may stand there.
     pub allowed: String,
 }
 

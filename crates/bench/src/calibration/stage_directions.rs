@@ -10,15 +10,11 @@ use crate::units::StageAngles;
 
 /// Why measured directions do not determine a stage.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum StageFitError {
     /// Three lights at least have as many angles as there are unknowns, and more.
     #[error("{found} lights do not determine how the stage stands; at least {needed} do")]
-    TooFew {
-        /// How many were measured.
-        found: usize,
-        /// How many are needed.
-        needed: usize,
-    },
+    TooFew { found: usize, needed: usize },
     /// Another stage, mirrored axes, a wrong image order.
     #[error(
         "light {light} at {angles} is {off_deg:.1} degrees away from where the rig file has it, and no common turn of the stage explains more than {explained_deg:.1} of it"
@@ -26,9 +22,7 @@ pub enum StageFitError {
     OtherStage {
         /// Which light, from 0.
         light: usize,
-        /// Its angles by the stage.
         angles: StageAngles,
-        /// From the rig file.
         off_deg: f64,
         /// By how much a common turn reduces that.
         explained_deg: f64,

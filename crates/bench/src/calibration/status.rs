@@ -32,12 +32,11 @@ pub enum State {
 
 /// The record in force of one kind.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct RecordStatus {
-    /// Its kind.
     pub kind: Kind,
     /// Whether it can be used.
     pub state: State,
-    /// Its name.
     pub id: Option<String>,
     /// When it was measured, UTC, RFC 3339.
     pub date: Option<String>,
@@ -51,7 +50,6 @@ pub struct RecordStatus {
     pub method: Option<String>,
     /// The main values with their standard uncertainties, or what holds without a record.
     pub summary: String,
-    /// What speaks against it.
     pub concerns: Vec<String>,
 }
 

@@ -77,6 +77,7 @@ pub enum Stopped {
 
 /// Why a device was not opened.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum OpenError {
     /// The device itself.
     #[error("{0}")]
@@ -96,11 +97,8 @@ pub enum OpenError {
     /// The camera's colour filters are others than the rig file's.
     #[error("{device}: the format's colour filters are {is}, the rig file's {stated}")]
     Mosaic {
-        /// Path.
         device: String,
-        /// Of the camera's format.
         is: Mosaic,
-        /// Of the rig file.
         stated: Mosaic,
     },
     /// The feature `serial` is off.

@@ -33,16 +33,15 @@ pub struct LabConfig {
 
 /// Where the laboratory is.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
 pub struct Address {
     /// Name of the street.
     pub street: Option<String>,
     /// Number in the street.
     pub building: Option<String>,
-    /// Postal code.
     pub postal_code: Option<String>,
     /// Town.
     pub city: Option<String>,
-    /// Country.
     pub country: Option<String>,
 }
 

@@ -185,11 +185,11 @@ pub struct DiscrepancyRecord {
 /// Everything that a fit leaves, but its images. Serialised, it is `fit.toml` without its format
 /// and verdict: what is in tables of its own is left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
 pub struct FitRecord {
     /// The images come from a simulated bench.
     #[serde(skip_serializing)]
     pub simulated: bool,
-    /// Name of the dictionary.
     pub dictionary: String,
     /// Final value of the objective, dimensionless.
     pub loss: f64,
@@ -220,7 +220,6 @@ pub struct FitRecord {
         with = "count"
     )]
     pub posterior: Option<PosteriorRecord>,
-    /// How it was run.
     pub settings: FitSettings,
     /// Versions of the program and of what it ran on, by name.
     #[serde(default)]
@@ -410,57 +409,40 @@ impl From<&Comparison> for FitImages {
 
 /// What can be wrong with a fit's folder; facts only.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FitRecordError {
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
     /// The folder is there already and not empty.
     #[error("{} exists and is not empty", path.display())]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// The folder holds no fit and is no session that has one.
     #[error("{} holds no fit (no fit.toml, no fits/)", folder.display())]
-    NoFit {
-        /// The folder.
-        folder: PathBuf,
-    },
+    NoFit { folder: PathBuf },
     /// A text file that does not parse.
     #[error("{}, line {line}: {key}: {fact}", path.display())]
     Syntax {
-        /// The file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// The key or column concerned.
         key: String,
-        /// What is wrong.
         fact: String,
     },
     /// A value out of its range.
     #[error("{}: {key} is {value}, allowed is {allowed}", path.display())]
     Value {
-        /// The file.
         path: PathBuf,
-        /// The key or column.
         key: String,
-        /// What stands there.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
     /// A file in a session that no journal record names.
     #[error("{} is not in the session's journal", path.display())]
-    NotVouchedFor {
-        /// The file.
-        path: PathBuf,
-    },
+    NotVouchedFor { path: PathBuf },
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),

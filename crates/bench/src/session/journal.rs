@@ -53,6 +53,7 @@ impl FileDigest {
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
+#[allow(missing_docs)]
 pub enum Event {
     /// The session exists; nothing has moved yet.
     Start {
@@ -83,7 +84,6 @@ pub enum Event {
     },
     /// Frames of a light direction follow.
     LightStart {
-        /// Index in the plan.
         light: u32,
         /// Read back after the move, degrees.
         azimuth_deg: f64,
@@ -100,20 +100,15 @@ pub enum Event {
         sidecar: FileDigest,
     },
     /// All frames of a light direction are journalled.
-    LightStop {
-        /// Index in the plan.
-        light: u32,
-    },
+    LightStop { light: u32 },
     /// Something that a reader of the session should know.
     Warning {
         /// Index of the light direction in the plan.
         light: u32,
-        /// The fact.
         text: String,
     },
     /// Any other file is on the disk; a later record of the same path replaces it.
     File {
-        /// The file.
         #[serde(flatten)]
         file: FileDigest,
     },
@@ -122,10 +117,7 @@ pub enum Event {
     /// The capture goes on after a pause.
     Continued,
     /// The operator or an error ended the work before its end.
-    Interrupted {
-        /// Why.
-        reason: String,
-    },
+    Interrupted { reason: String },
     /// The capture is complete.
     Stop,
 }

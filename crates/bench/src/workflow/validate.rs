@@ -41,31 +41,19 @@ pub enum HoldOut {
 
 /// Lights that cannot be divided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum HoldOutError {
     /// There is one light, or none.
     #[error(
         "{lights} of the scene's lights has an image; one to fit and one to predict are needed"
     )]
-    TooFew {
-        /// The lights.
-        lights: usize,
-    },
+    TooFew { lights: usize },
     /// Nothing is left to fit or to predict.
     #[error("{held_out} of {lights} lights are to be predicted; allowed are 1 to {}", lights - 1)]
-    Count {
-        /// Lights to predict.
-        held_out: usize,
-        /// All lights.
-        lights: usize,
-    },
+    Count { held_out: usize, lights: usize },
     /// A light that is not there.
     #[error("there is no light {light}: the lights are 0 to {}", lights - 1)]
-    NoSuchLight {
-        /// As given.
-        light: usize,
-        /// All lights.
-        lights: usize,
-    },
+    NoSuchLight { light: usize, lights: usize },
 }
 
 impl HoldOut {

@@ -12,12 +12,12 @@ use crate::calibration::sensor::emva1288::Emva1288;
 
 /// What the page states of the measurement.
 #[derive(Clone, Debug)]
+#[allow(missing_docs)]
 pub struct SensorPage<'a> {
     /// Model and serial number.
     pub camera: String,
     /// Whether the sensor is simulated.
     pub simulated: bool,
-    /// Name of the record.
     pub record: String,
     /// How it was measured.
     pub method: String,
@@ -27,7 +27,6 @@ pub struct SensorPage<'a> {
     pub settings: Settings,
     /// The solution, with its curve.
     pub fit: &'a SensorFit,
-    /// The figures.
     pub figures: &'a Emva1288,
 }
 

@@ -11,6 +11,7 @@ pub const MAX_MISSING: u32 = 2;
 
 /// Why a frame is not the one that was requested.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FrameFault {
     /// The driver marks it so.
     #[error("the driver marks it as damaged")]
@@ -20,12 +21,7 @@ pub enum FrameFault {
     Undecodable(String),
     /// Its values are not the sensor's counts: developed, compressed or interpolated.
     #[error("{name} holds no raw counts: it is {kind}")]
-    NotRaw {
-        /// The file's name.
-        name: String,
-        /// What it is.
-        kind: String,
-    },
+    NotRaw { name: String, kind: String },
     /// Another size than the camera's.
     #[error(
         "it has {counts} counts in {} × {} pixels instead of {} × {}",
@@ -34,7 +30,6 @@ pub enum FrameFault {
     Size {
         /// Width and height as the frame says.
         found: [u32; 2],
-        /// Counts that are there.
         counts: usize,
         /// Width and height of the camera.
         expected: [u32; 2],
@@ -44,7 +39,6 @@ pub enum FrameFault {
     Settings {
         /// `exposure` or `gain`.
         what: &'static str,
-        /// As reported.
         is: String,
         /// As requested, with what it may differ by.
         wanted: String,

@@ -34,7 +34,6 @@ pub(super) struct Shot {
 #[derive(Clone)]
 pub(super) struct Taken {
     pub(super) frame: Arc<RawFrame>,
-    /// Requested.
     pub(super) requested_s: f64,
     /// Read back.
     pub(super) exposure_s: f64,

@@ -17,6 +17,7 @@ const OWN: &str = "_";
 
 /// Why what a program wrote is no answer.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum AnswerFault {
     /// Not JSON, or a value of another type than its key's.
     #[error("its answer is no such JSON object: {0}")]
@@ -27,11 +28,8 @@ pub enum AnswerFault {
     /// A value outside its range.
     #[error("its answer has {key} = {is}, and {allowed} is allowed")]
     Range {
-        /// The key.
         key: &'static str,
-        /// Its value.
         is: String,
-        /// What it may be.
         allowed: String,
     },
 }

@@ -65,6 +65,7 @@ impl FrameFile {
 
 /// Why a frame cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FrameFileError {
     /// Another format.
     #[error("it is neither PNG nor TIFF nor JPEG{}", .0.map(|kind| format!(", but {kind}")).unwrap_or_default())]
@@ -81,11 +82,8 @@ pub enum FrameFileError {
     /// Several images in one file.
     #[error("it has {count} {what} ({sizes}), and a frame is one")]
     Pages {
-        /// How many.
         count: usize,
-        /// What they are.
         what: &'static str,
-        /// Their sizes in pixels.
         sizes: String,
     },
     /// Another size than that of the camera.
@@ -93,7 +91,6 @@ pub enum FrameFileError {
     Size {
         /// Pixels per row, and rows.
         found: [usize; 2],
-        /// The size that it should have.
         needed: [usize; 2],
     },
     /// More pixels than any sensor has.
