@@ -1,6 +1,7 @@
 //! `rig calibrate` as the operator meets it: records, figures, status, and that a
 //! failure leaves what was there.
 
+use crate::command_support::words;
 use crate::small_bench;
 
 use std::path::Path;
@@ -196,16 +197,9 @@ fn the_record_of_the_gain_in_use_is_taken() {
     ] {
         rig_file(at, &[("\ngain = 1.0", &format!("\n{gain}"))]);
         rig(at)
-            .args([
-                "calibrate",
-                "sensor",
-                "--frames",
-                "8",
-                "--id",
-                id,
-                "--date",
-                date,
-            ])
+            .args(words(&format!(
+                "calibrate sensor --frames 8 --id {id} --date {date}"
+            )))
             .assert()
             .success();
     }

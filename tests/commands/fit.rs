@@ -2,9 +2,9 @@
 //! states them.
 
 use std::path::Path;
-use std::process::{Command, Output};
 use std::sync::Mutex;
 
+use crate::command_support::run_line as rig;
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, LumaA, Rgba, RgbaImage};
 use rig::inverse::Channels;
 use rig::progress::Progress;
@@ -48,14 +48,6 @@ translation_mm = 0.0
 "#;
 
 const FIT: &str = "fit --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --kernel portable";
-
-fn rig(folder: &Path, words: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rig"))
-        .args(words.split_whitespace())
-        .current_dir(folder)
-        .output()
-        .unwrap()
-}
 
 /// A folder with a scene and its images.
 fn photographed() -> tempfile::TempDir {

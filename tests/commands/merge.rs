@@ -1,5 +1,6 @@
 //! `rig merge` and `rig calibrate response` on folders of frames.
 
+use crate::command_support::words;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -46,12 +47,7 @@ fn a_folder_of_photographs_becomes_a_response_and_radiance() {
     }
     rig()
         .current_dir(&folder)
-        .args([
-            "merge",
-            "frames",
-            "--response",
-            "records/response/first.toml",
-        ])
+        .args(words("merge frames --response records/response/first.toml"))
         .args(["--out", "out.exr"])
         .assert()
         .success();
@@ -88,19 +84,11 @@ fn single_frames_become_an_image_each() {
     std::fs::create_dir(path("other")).unwrap();
     write_grey(&path("other/a.png"), 20, (0..400).map(|p| p % 3).collect());
     write_grey(&path("small.png"), 10, (0..100).map(|p| p % 3).collect());
-    let merge = |words: &str| {
+    let merge = |line: &str| {
         rig()
             .current_dir(&folder)
-            .args([
-                "merge",
-                "--gain",
-                "2",
-                "--read-noise",
-                "3",
-                "--black-level",
-                "0",
-            ])
-            .args(words.split_whitespace())
+            .args(words("merge --gain 2 --read-noise 3 --black-level 0"))
+            .args(words(line))
             .output()
             .unwrap()
     };
@@ -169,15 +157,7 @@ fn names_state_exposures_and_the_report_shows_how_they_agree() {
     for (more, size) in [(&[][..], 10), (&["--full-resolution"], 20)] {
         let output = rig()
             .current_dir(&folder)
-            .args([
-                "merge",
-                ".",
-                "--mosaic",
-                "rggb",
-                "--bit-depth",
-                "12",
-                "--json",
-            ])
+            .args(words("merge . --mosaic rggb --bit-depth 12 --json"))
             .args(sensor)
             .args(more)
             .output()

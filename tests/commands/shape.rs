@@ -2,25 +2,15 @@
 
 use std::path::Path;
 
-use assert_cmd::Command;
+use crate::command_support::{ended, run};
 use rig::frames::{MeshFile, Rigid, Sample};
 use rig::geometry::{Mesh, Placement, Shape, files};
 use rig::radiance_image::exr;
 use serde_json::Value;
 
 fn rig(folder: &Path, args: &[&str]) -> (bool, String, String) {
-    let output = Command::cargo_bin("rig")
-        .unwrap()
-        .current_dir(folder)
-        .args(args)
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (
-        output.status.success(),
-        text(output.stdout),
-        text(output.stderr),
-    )
+    let (code, out, said) = ended(&run(folder, args));
+    (code == 0, out, said)
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::process::Output;
 
 use mock_devices::grbl::{Dialect, DialectSimulator};
 
-use crate::command_support;
+use crate::command_support::{self, words};
 
 use command_support::{assert_fails, rig_file_on_port, text};
 
@@ -595,17 +595,9 @@ fn a_restart_or_a_dark_lamp_is_noticed() {
     );
     let stays_dark = of(&[("M3", &["ok"])]);
     let (_folder, file) = rig_file(stays_dark.path());
-    let lamp = run(&[
-        "stage",
-        "lamp",
-        "0",
-        "--home",
-        "--seconds",
-        "0",
-        "--quiet",
-        "--rig",
-        &file,
-    ]);
+    let lamp = run(&words(&format!(
+        "stage lamp 0 --home --seconds 0 --quiet --rig {file}"
+    )));
     assert_fails(
         &lamp,
         1,
@@ -632,17 +624,9 @@ fn an_alarm_of_a_soft_limit_points_to_the_limits() {
         "{said}"
     );
     // An output that the build lacks.
-    let lamp = run(&[
-        "stage",
-        "lamp",
-        "1",
-        "--home",
-        "--seconds",
-        "0",
-        "--quiet",
-        "--rig",
-        &file,
-    ]);
+    let lamp = run(&words(&format!(
+        "stage lamp 1 --home --seconds 0 --quiet --rig {file}"
+    )));
     let said = text(&lamp.stderr);
     assert!(
         said.contains("error 20") && said.contains("ENABLE_M7"),
