@@ -2,11 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::focus;
 use super::light::Terminal;
-use super::target::CommonArgs;
+use super::target::{CommonArgs, advised};
 use super::white::parse_region;
-use crate::calibrating::CardRequest;
+use crate::calibrating::{CardRequest, image_of};
 use crate::calibration::glare::GlareRequest;
 use crate::calibration::procedure::ProcedureOptions;
 use crate::calibration::record::Measured;
@@ -62,7 +61,7 @@ pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {
     };
     let measured = match &args.input {
         Some(path) => {
-            let image = focus::read(path, args.light, &rig.config.name)?;
+            let image = image_of(path, args.light, &rig.config.name).map_err(advised)?;
             let source = path.display().to_string();
             place = place.measured_from(source, rig.config.camera.resolution_px);
             request.measure_image(&image)?

@@ -7,12 +7,17 @@ use crate::calibration::camera::CameraError;
 use crate::calibration::flat::FlatError;
 use crate::calibration::glare::GlareError;
 use crate::calibration::lamp_watch::WatchError;
+use crate::calibration::mirror_sphere::lights::DirectionsError;
 use crate::calibration::noise::NoiseError;
 use crate::calibration::pixel_map::MapError;
+use crate::calibration::pose::PoseError;
 use crate::calibration::procedure::ProcedureError;
+use crate::calibration::rotation::RotationError;
 use crate::calibration::sensor::SensorFitError;
-use crate::calibration::white::Region;
+use crate::calibration::slanted_edge::EdgeError;
+use crate::calibration::white::{Region, WhiteError};
 use crate::capture::open::OpenError;
+use crate::config::BuildError;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::bracket_files::BracketError;
 use crate::radiometry::response::ResponseError;
@@ -108,6 +113,45 @@ pub enum CalibratingError {
     #[error("{0}")]
     Camera(#[from] CameraError),
 
+    /// Spheres do not determine the lights.
+    #[error("{0}")]
+    Lights(#[from] DirectionsError),
+    /// A standard gives no scale.
+    #[error("{0}")]
+    White(#[from] WhiteError),
+    /// Edges do not determine the sharpness.
+    #[error("{0}")]
+    Focus(#[from] EdgeError),
+    /// Images give no pose.
+    #[error("{0}")]
+    Pose(#[from] PoseError),
+    /// Turns of a sample cannot be compared.
+    #[error("{0}")]
+    Rotation(#[from] RotationError),
+    /// The scene cannot be built.
+    #[error("{0}")]
+    Scene(#[from] BuildError),
+
+    /// A session of another bench.
+    #[error("{} is of rig {of}, the record would be of rig {rig}", session.display())]
+    OtherRig {
+        session: PathBuf,
+        of: String,
+        rig: String,
+    },
+    /// A session without the light that is named, from 0.
+    #[error("{} has {lights} lights, not light {light}", session.display())]
+    NoLight {
+        session: PathBuf,
+        lights: usize,
+        light: usize,
+    },
+    /// Images of a stage with axes.
+    #[error("images alone do not state the angles of a stage with axes")]
+    NoAngles,
+    /// Not an image for each fixed light.
+    #[error("{images} images were named, the rig has {lights} lights")]
+    ImageCount { images: usize, lights: usize },
     /// A session that holds no image.
     #[error("{} has no images", session.display())]
     NoImages { session: PathBuf },

@@ -53,6 +53,22 @@ pub struct RecordStatus {
     pub concerns: Vec<String>,
 }
 
+impl RecordStatus {
+    /// Whether the calibration should be made.
+    pub fn needs_calibration(&self) -> bool {
+        use Kind::*;
+        match self.state {
+            State::Good => false,
+            State::Doubtful | State::Refused => true,
+            // A linear camera has no response; lens, lights and pose may be in the rig file.
+            State::Missing => !matches!(
+                self.kind,
+                Response | Lights | Directions | Pose | Focus | Camera | Glare
+            ),
+        }
+    }
+}
+
 /// The status of every kind of record of a rig, at this time.
 pub fn status(rig: &RigConfig, library: &Library, now: Timestamp) -> Vec<RecordStatus> {
     let pins = &rig.calibration;
