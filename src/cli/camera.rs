@@ -1,20 +1,16 @@
 //! `rig camera`: the camera by hand.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-use mock_devices::{Illumination, RadianceSource};
 
 use super::context::Context;
 use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
-use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
-use crate::config::{CameraDriver, ResolvedRig, RigConfig};
+use crate::capture::open::open_camera_for_a_look;
+use crate::config::{CameraDriver, ResolvedRig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::frame_figures::FrameFigures;
-use crate::device::manual::Nobody;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
@@ -356,10 +352,7 @@ impl Which {
             return open_device(device, self.format, preview);
         }
         let rig = self.rig.resolve(context)?.config;
-        match &rig.simulation {
-            None => Ok(open_camera_for_a_look(&rig, &open::of_port()?)?),
-            Some(_) => open_simulated(&rig),
-        }
+        Ok(open_camera_for_a_look(&rig, &open::of_port()?)?)
     }
 }
 
@@ -397,38 +390,4 @@ fn open_device(_: &str, _: Option<[u8; 4]>, _: bool) -> Result<Box<dyn Camera>, 
 #[cfg(not(feature = "v4l"))]
 fn without_v4l() -> CliError {
     crate::capture::open::OpenError::NoVideo4Linux.into()
-}
-
-/// The simulated camera on a bench whose lamp is off, as it is while nobody
-/// uses its stage: the room's light alone.
-fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
-    let simulation = rig.simulation.as_ref();
-    let room = Room {
-        resolution_px: rig.camera.resolution_px,
-        radiance_w_m2_sr: simulation.map_or(0.0, |s| s.ambient_w_m2_sr) as f32,
-    };
-    let options = OpenOptions {
-        sees: Some(Arc::new(room)),
-        operator: Some(Arc::new(Nobody)),
-        ..OpenOptions::default()
-    };
-    Ok(open_devices(rig, &options)?.camera)
-}
-
-/// What a simulated camera sees while the lamp is off.
-struct Room {
-    resolution_px: [u32; 2],
-    radiance_w_m2_sr: f32,
-}
-
-impl RadianceSource for Room {
-    fn resolution_px(&self) -> [u32; 2] {
-        self.resolution_px
-    }
-
-    fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
-        let [width, height] = self.resolution_px;
-        let pixels = width as usize * height as usize;
-        Arc::new(vec![self.radiance_w_m2_sr; pixels])
-    }
 }

@@ -6,8 +6,7 @@ use serde_json::json;
 
 #[cfg(feature = "console")]
 use super::capture_console::ConsoleOptions;
-use super::capture_events::EventLines;
-use super::capture_notices::{Terminal, advised};
+use super::capture_notices::Terminal;
 use super::capture_queue::{self, QueueRequest};
 use super::capture_run::{self, Ran};
 use super::context::Context;
@@ -17,6 +16,7 @@ use super::progress::duration;
 use super::rig_choice::RigArg;
 use super::{fit, interrupt, open};
 use crate::capture::Outcome;
+use crate::capture::event_lines::EventLines;
 use crate::capture::light_choice::Ranking;
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
@@ -166,7 +166,7 @@ pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         Ok(None) => Ok(()),
         Err(error) => {
             if let Some(lines) = lines {
-                lines.not_begun(&error);
+                lines.not_begun(error.fact().to_owned());
             }
             Err(error)
         }
@@ -190,7 +190,7 @@ fn start(
     let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));
     terminal.finish();
-    let prepared = prepared.map_err(|error| advised(error, &rig.config))?;
+    let prepared = prepared?;
     if let Some(ranking) = prepared.ranking() {
         context.note(remaining(ranking));
     }
@@ -291,7 +291,7 @@ fn unfitted(
                 format!("`rig fit {root}` and `rig report {root}` do the rest"),
             );
         if let Some(lines) = &lines {
-            lines.fit_failed(&error);
+            lines.fit_failed(error.fact().to_owned(), error.advice().map(str::to_owned));
             lines.flush();
         }
         error

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::json;
 
-use super::capture_notices::{Terminal, advised};
+use super::capture_notices::Terminal;
 use super::capture_run;
 use super::context::Context;
 use super::error::CliError;
@@ -172,7 +172,7 @@ fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result
     let mut terminal = Terminal::new(context, None);
     let prepared = prepare(request.rig, &asked, &mut |notice| terminal.show(notice));
     terminal.finish();
-    let prepared = prepared.map_err(|error| advised(error, &request.rig.config))?;
+    let prepared = prepared?;
     prepared.check_space()?;
     let planned = prepared.plan();
     Ok(Plan {
@@ -275,7 +275,7 @@ impl Work<'_> {
         };
         // What is to be noticed was shown when the queue was checked.
         let prepared = prepare(self.request.rig, &asked, &mut |_| ());
-        let prepared = prepared.map_err(|error| advised(error, config))?;
+        let prepared = prepared?;
         prepared.check_space()?;
         let devices = open_devices(config, &open::options(config)?)?;
         Ok(prepared.begin(devices, &mut |_| ())?)

@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::time::Instant;
 
-use super::capture_events::EventLines;
 use super::capture_progress::Bar;
 use super::context::Context;
 use super::error::CliError;
 use super::{interrupt, open};
+use crate::capture::event_lines::EventLines;
 use crate::capture::open::{OpenOptions, open_devices};
 use crate::capture::prepare::{self, Job};
 use crate::capture::{CaptureError, Outcome, Spent};

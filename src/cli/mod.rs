@@ -19,7 +19,6 @@ mod camera_preview;
 pub mod capture;
 #[cfg(feature = "console")]
 mod capture_console;
-mod capture_events;
 mod capture_notices;
 mod capture_progress;
 mod capture_queue;
@@ -64,7 +63,6 @@ pub mod rig_choice;
 pub mod session;
 pub mod shape;
 mod shape_inspect;
-mod sharpness;
 #[cfg(any(feature = "reports", feature = "experiments"))]
 mod slurm_args;
 pub mod stage;
@@ -72,7 +70,6 @@ pub mod stderr;
 mod table;
 mod trace;
 pub mod validate;
-mod write_queue;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

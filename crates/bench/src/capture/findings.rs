@@ -1,5 +1,6 @@
 //! What is found while a capture is prepared: facts worth a remark, and those that refuse it.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use super::CaptureError;
@@ -12,12 +13,12 @@ use crate::calibration::noise::NoiseError;
 use crate::calibration::record::Kind;
 use crate::config::BuildError;
 use crate::config::ConfigError;
+use crate::config::scene_concern::SceneConcern;
 use crate::geometry::FileRemark;
 use crate::session::SceneFileError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
 use crate::transport::cache::CacheError;
-use crate::transport::visibility::{self, Visibility};
 use crate::units::StageAngles;
 
 /// Something worth a remark before a capture; it does not refuse it.
@@ -38,10 +39,7 @@ pub enum Notice<'a> {
     /// Something about the files that describe the scene.
     File(&'a FileRemark),
     /// A part of the sample is not seen.
-    View {
-        concern: &'a visibility::Concern,
-        seen: &'a Visibility,
-    },
+    View(&'a SceneConcern),
     /// The lens blurs a part of the sample by more than `capture.blur_limit_px`.
     Blur {
         /// How far.
@@ -51,6 +49,27 @@ pub enum Notice<'a> {
     },
     /// So many light directions are compared now, which takes a while.
     Comparing { directions: usize },
+}
+
+impl fmt::Display for Notice<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Record { kind, concern } => write!(out, "{}: {concern}", kind.folder()),
+            Self::Temperature(concern) => concern.fmt(out),
+            Self::WarmUp { needed_s, stated_s } => write!(
+                out,
+                "lamp: it takes {needed_s:.0} s to warm up, and capture.lamp_warm_up_s is {stated_s:.0}"
+            ),
+            Self::File(remark) => remark.fmt(out),
+            Self::View(concern) => concern.fmt(out),
+            Self::Blur { blur, limit_px } => {
+                write!(out, "depth of field: {}", blur.concern(*limit_px))
+            }
+            Self::Comparing { directions } => {
+                write!(out, "comparing {directions} light directions")
+            }
+        }
+    }
 }
 
 /// Why a capture cannot begin. Nothing has moved, and no session was written.
@@ -85,17 +104,13 @@ pub enum PrepareError {
     #[error("there is no sensor record in {searched}")]
     NoSensorRecord { searched: String },
     /// The camera does not see the front of the sample.
-    #[error("{concern}")]
-    View {
-        concern: visibility::Concern,
-        seen: Box<Visibility>,
-    },
+    #[error("{0}")]
+    View(#[from] Box<SceneConcern>),
     /// A planned light reaches nothing of what the camera sees.
     #[error("{concern} ({angles})")]
     Unlit {
-        concern: visibility::Concern,
+        concern: Box<SceneConcern>,
         angles: StageAngles,
-        seen: Box<Visibility>,
     },
     /// A direction that is listed twice: its light would count as two.
     #[error("the light direction {first} is named twice{}", spelled_otherwise(*first, *second))]

@@ -9,9 +9,10 @@ use crate::config::BuildError;
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::described::Description;
 use crate::device::guardian::GuardedStage;
-use crate::device::manual::Operator;
+use crate::device::manual::{Nobody, Operator};
 use crate::device::simulated_camera::RadianceSource;
 use crate::device::{Camera, CameraInfo, DeviceError, LightStage, Mosaic};
+use crate::simulation::room::Room;
 use crate::units::StageAngles;
 
 /// What opening devices needs beyond the rig file.
@@ -383,7 +384,7 @@ pub fn open_real_camera(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {
-    let camera = open_camera_for_a_look(rig, options)?;
+    let camera = open_camera(rig, options)?;
     match camera.info().exposure_range[0].0.is_nan() {
         false => Ok(camera),
         true => Err(OpenError::Device(DeviceError::Refused {
@@ -394,8 +395,8 @@ pub fn open_real_camera(
     }
 }
 
-/// Opens the camera of a rig whose devices are real; exposures of one without a control for
-/// them are NaN.
+/// Opens the camera of a rig to look through it; exposures of one without a control for them are
+/// NaN. A simulated one sees the room's light alone, as while nobody uses its stage.
 ///
 /// # Errors
 /// As [`open_devices`].
@@ -403,6 +404,18 @@ pub fn open_camera_for_a_look(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {
+    if rig.simulation.is_none() {
+        return open_camera(rig, options);
+    }
+    let options = OpenOptions {
+        sees: Some(Arc::new(Room::of_rig(rig))),
+        operator: Some(Arc::new(Nobody)),
+        ..OpenOptions::default()
+    };
+    Ok(open_devices(rig, &options)?.camera)
+}
+
+fn open_camera(rig: &RigConfig, options: &OpenOptions) -> Result<Box<dyn Camera>, OpenError> {
     let camera = &rig.camera;
     match &camera.driver {
         CameraDriver::Simulated => Err(OpenError::Simulated { what: "camera" }),

@@ -12,6 +12,7 @@ mod interreflection;
 pub mod photograph;
 pub mod pixels;
 pub mod posed_sample;
+pub mod room;
 mod view;
 pub mod white_standard;
 

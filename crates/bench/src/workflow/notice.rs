@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::scene_concern::SceneConcern;
 use super::{FitWork, UNSTATED_NOISE};
+use crate::config::scene_concern::SceneConcern;
 use crate::progress::Progress;
 
 /// A fact that is worth knowing before the result is there.
