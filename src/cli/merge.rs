@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::merge_sensor::SensorArgs;
-use super::merge_warnings::{Counts, shown_s, warn_agreement, warn_filters};
+use super::merge_warnings::{warn_agreement, warn_filters};
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, bracket_files};
@@ -13,6 +13,7 @@ use crate::calibration::record::ResponseValues;
 use crate::calibration::record_in;
 use crate::radiometry::adopted_exposures::UsedExposure;
 use crate::radiometry::agreement::ExposureAgreement;
+use crate::radiometry::bracket_doubts::{Counts, shown_s};
 use crate::radiometry::bracket_files::read_frame;
 use crate::radiometry::bracket_merge::{
     self, BracketMergeError, CountModel, MergeRequest, Merged, check_linear, check_mosaic,

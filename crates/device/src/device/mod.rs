@@ -4,6 +4,7 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was requested.
 
+pub mod by_hand;
 pub mod command_camera;
 pub mod controls;
 pub mod described;
