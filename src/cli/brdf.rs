@@ -10,6 +10,7 @@ use clap::{Args, Subcommand};
 
 use spec::{advise, load};
 
+use super::number::within;
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
@@ -99,7 +100,7 @@ enum BrdfCommand {
         #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
-        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
+        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8, 512))]
         size: usize,
         /// Writes the reference projection's weights here
         #[arg(long, value_name = "WEIGHTS.csv")]
@@ -120,13 +121,6 @@ enum BrdfCommand {
         #[arg(long, value_name = "FILE.binary|.bsdf|.mtlx|.py|.glb")]
         out: PathBuf,
     },
-}
-
-fn sphere_size(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(size) if (8..=512).contains(&size) => Ok(size),
-        _ => Err("allowed are 8 to 512".to_owned()),
-    }
 }
 
 /// Runs `rig brdf`.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::context::Context;
 use super::error::CliError;
+use super::number::within;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
@@ -38,10 +39,10 @@ enum Action {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
         /// Exposure (ms)
-        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = within(1e-6, 1e9))]
         exposure_ms: f64,
         /// Analogue gain, a factor; 1 is the camera's lowest
-        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = within(1e-6, 1e9))]
         gain: f64,
         /// Frames to let pass after the change of settings
         #[arg(long, value_name = "FRAMES", default_value_t = 3)]
@@ -57,10 +58,10 @@ enum Action {
         #[command(flatten)]
         which: Which,
         /// Exposure (ms)
-        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = within(1e-6, 1e9))]
         exposure_ms: f64,
         /// Analogue gain, a factor; 1 is the camera's lowest
-        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = within(1e-6, 1e9))]
         gain: f64,
         /// Port of the page on 127.0.0.1; 0 takes a free one
         #[arg(long, value_name = "PORT", default_value_t = 0)]
@@ -85,13 +86,6 @@ struct Which {
     /// The result as JSON
     #[arg(long)]
     json: bool,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if (1e-6..=1e9).contains(&value) => Ok(value),
-        _ => Err("a number above 0".to_owned()),
-    }
 }
 
 fn format_code(name: &str) -> Result<[u8; 4], String> {

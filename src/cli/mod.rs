@@ -50,6 +50,7 @@ pub mod merge;
 mod merge_sensor;
 mod merge_warnings;
 mod notices;
+mod number;
 pub mod open;
 mod operator;
 pub mod output;

@@ -4,6 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::context::Context;
 use super::error::CliError;
+use super::number::within;
 use super::open;
 use super::output::write_json;
 use super::rig_choice::RigArg;
@@ -49,7 +50,7 @@ enum Action {
         #[arg(value_name = "CHANNEL", value_parser = lamp_state)]
         lamp: LampState,
         /// Off after this long (s)
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = within(0.0, 86_400.0))]
         seconds: Option<f64>,
         /// Homes first: a controller that is locked until it is homed switches no lamp
         #[arg(long)]
@@ -115,13 +116,6 @@ fn lamp_state(text: &str) -> Result<LampState, String> {
             Ok(channel) => Ok(LampState::On(LampChannel(channel))),
             Err(_) => Err("a channel's number, from 0, or `off`".to_owned()),
         },
-    }
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
-        _ => Err("a number of seconds, 0 to 86400".to_owned()),
     }
 }
 

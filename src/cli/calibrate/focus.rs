@@ -8,6 +8,7 @@ use crate::calibrating::{CalibratingError, EdgesRequest};
 use crate::calibration::depth_of_field;
 use crate::calibration::slanted_edge::EdgeError;
 use crate::calibration::white::Region;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context};
 
 #[derive(clap::Args, Debug)]
@@ -19,10 +20,10 @@ pub(super) struct FocusArgs {
     #[arg(value_name = "EXR|SESSION", required = true)]
     input: Vec<PathBuf>,
     /// Heights of the edges above the sample's datum, in the order of the images (mm)
-    #[arg(long, value_name = "MM,...", value_delimiter = ',', required = true, allow_hyphen_values = true, value_parser = height)]
+    #[arg(long, value_name = "MM,...", value_delimiter = ',', required = true, allow_hyphen_values = true, value_parser = within(-1e4, 1e4))]
     heights: Vec<f64>,
     /// Standard uncertainty that all heights share (mm)
-    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = height_std)]
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = within(0.0, 100.0))]
     height_std: f64,
     /// Where the edge is in the image (pixels; default: all of it); once for all images, or
     /// once for each height
@@ -31,23 +32,6 @@ pub(super) struct FocusArgs {
     /// Which light's image of a session is used
     #[arg(long, value_name = "N", default_value_t = 0)]
     light: usize,
-}
-
-fn height(text: &str) -> Result<f64, String> {
-    within(text, -1e4..=1e4)
-}
-
-fn height_std(text: &str) -> Result<f64, String> {
-    within(text, 0.0..=100.0)
-}
-
-fn within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
-    let value: f64 = text.trim().parse().map_err(|_| "not a number".to_owned())?;
-    if range.contains(&value) {
-        Ok(value)
-    } else {
-        Err(format!("not in {} to {}", range.start(), range.end()))
-    }
 }
 
 pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {

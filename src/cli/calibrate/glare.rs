@@ -10,6 +10,7 @@ use crate::calibration::glare::GlareRequest;
 use crate::calibration::procedure::ProcedureOptions;
 use crate::calibration::record::Measured;
 use crate::calibration::white::Region;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context, open};
 
 #[derive(clap::Args, Debug)]
@@ -25,10 +26,10 @@ pub(super) struct GlareArgs {
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     trap: Vec<Region>,
     /// What the traps reflect over what the card does
-    #[arg(long, value_name = "R", default_value_t = GlareRequest::TRAP_REFLECTANCE, value_parser = share)]
+    #[arg(long, value_name = "R", default_value_t = GlareRequest::TRAP_REFLECTANCE, value_parser = within(0.0, 0.1))]
     trap_reflectance: f64,
     /// Standard uncertainty of that
-    #[arg(long, value_name = "U", default_value_t = GlareRequest::TRAP_REFLECTANCE_STD, value_parser = share)]
+    #[arg(long, value_name = "U", default_value_t = GlareRequest::TRAP_REFLECTANCE_STD, value_parser = within(0.0, 0.1))]
     trap_reflectance_std: f64,
     /// Which light's image of a session is used
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -36,14 +37,6 @@ pub(super) struct GlareArgs {
     /// Frames of the card and dark frames, each (1 to 65536)
     #[arg(long, value_name = "N", default_value_t = ProcedureOptions::FLAT_FRAMES, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     frames: u32,
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    let value: f64 = text.trim().parse().map_err(|_| "not a number".to_owned())?;
-    match (0.0..=0.1).contains(&value) {
-        true => Ok(value),
-        false => Err("not in 0 to 0.1".to_owned()),
-    }
 }
 
 pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {

@@ -10,6 +10,7 @@ use crate::calibrating::{CalibratingError, PoseRequest, TurnedSession};
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues};
 use crate::calibration::record::Kind;
 use crate::calibration::rotation::RotationTest;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context};
 
 #[derive(clap::Args, Debug)]
@@ -28,17 +29,11 @@ pub(super) struct PoseArgs {
     rotate: Vec<TurnedSession>,
     /// Relative standard deviation of a region's radiance when the sample is seated again, for
     /// --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "R", default_value_t = RotationTest::REPEATABILITY, value_parser = fraction)]
+    #[arg(long, value_name = "R", default_value_t = RotationTest::REPEATABILITY, value_parser = within(1e-4, 0.5))]
     repeatability: f64,
     /// Chance that a good sample fails, for --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "ALPHA", default_value_t = RotationTest::SIGNIFICANCE, value_parser = fraction)]
+    #[arg(long, value_name = "ALPHA", default_value_t = RotationTest::SIGNIFICANCE, value_parser = within(1e-4, 0.5))]
     significance: f64,
-}
-
-fn fraction(text: &str) -> Result<f64, String> {
-    let number = text.trim().parse::<f64>().ok();
-    let within = number.filter(|number| (1e-4..=0.5).contains(number));
-    within.ok_or_else(|| "must be a number from 1e-4 to 0.5".into())
 }
 
 #[derive(Serialize)]

@@ -10,6 +10,7 @@ use crate::calibrating::{CalibratingError, WhiteRequest};
 use crate::calibration::record::Measured;
 use crate::calibration::white::{Region, WhiteStandard};
 use crate::calibration::white_lights::{LightIntensity, WhiteLights};
+use crate::cli::number::within;
 use crate::cli::{CliError, Context};
 
 #[derive(clap::Args, Debug)]
@@ -35,7 +36,7 @@ pub(super) struct WhiteArgs {
     #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_DEG)]
     incidence: f64,
     /// Standard uncertainty of that angle (degrees)
-    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_STD_DEG)]
+    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_STD_DEG, value_parser = within(0.0, 10.0))]
     incidence_std: f64,
     /// Where the standard is in the image (pixels; default: all of it)
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
@@ -45,12 +46,13 @@ pub(super) struct WhiteArgs {
         long,
         value_name = "MM",
         default_value_t = 0.0,
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = within(-1e4, 1e4)
     )]
     height: f64,
     /// How much the radiance factor differs between the lights' directions (standard deviation,
     /// relative; sessions only)
-    #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD)]
+    #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD, value_parser = within(0.0, 0.2))]
     direction_std: f64,
 }
 
@@ -81,21 +83,6 @@ const HINT: &str = "put the standard where the sample will be, evenly lit, give 
     radiance factor as a fraction, and with --region only the standard's own pixels; nothing was kept";
 
 pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
-    let of_session = args.image.is_dir();
-    let ranges = [
-        ("--incidence-std", args.incidence_std, 0.0..=10.0, false),
-        ("--height", args.height, -1e4..=1e4, true),
-        ("--direction-std", args.direction_std, 0.0..=0.2, true),
-    ];
-    for (name, value, range, sessions_only) in ranges {
-        if !range.contains(&value) && (of_session || !sessions_only) {
-            return Err(CliError::new(format!("{name} is {value}")).hint(format!(
-                "it must be from {} to {}",
-                range.start(),
-                range.end()
-            )));
-        }
-    }
     let rig = args.common.rig.resolve(context)?;
     let request = WhiteRequest {
         rig: &rig.config,
@@ -117,7 +104,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     })?;
     let kept = measured.keep(args.common.place(&rig, context)?)?;
     let irradiance = measured.values.irradiance_w_m2;
-    if of_session {
+    if args.image.is_dir() {
         let ([low, high], worst) = measured.intensities();
         context.note(format_args!(
             "fits of later captures use the lights' intensities, from {low:.4} to {high:.4} of \
