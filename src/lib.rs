@@ -49,7 +49,7 @@ pub use rig_desk::{cluster, export, material, result_table};
 pub use rig_device::{device, interrupt, radiometry};
 pub use rig_lab::benchmark;
 #[cfg(feature = "experiments")]
-pub use rig_lab::evaluate;
+pub use rig_lab::{evaluate, job_array};
 
 pub mod cli;
 

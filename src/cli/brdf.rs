@@ -13,7 +13,6 @@ use spec::{advise, load};
 use super::number::within;
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
-use crate::brdf::check::ALBEDO_ANGLES_DEG;
 use crate::brdf::{Dictionary, nbrdf, score};
 use crate::export::{self, ExportError, ModelFormat, TableFormat};
 use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
@@ -199,33 +198,7 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     if json {
         write_json(&answer)?;
     } else {
-        out!("directional albedo (1 is all light reflected)")?;
-        out!("  theta_i      R      G      B")?;
-        for (theta, [r, g, b]) in ALBEDO_ANGLES_DEG.iter().zip(&found.albedo) {
-            out!("  {theta:>5}° {r:>8.4} {g:>6.4} {b:>6.4}")?;
-        }
-        out!("largest albedo        {:.4}", found.largest_albedo)?;
-        out!("reciprocity, worst    {:.2e} relative", found.reciprocity)?;
-        if let Some(raw) = answer.reciprocity_as_measured {
-            out!("  as measured         {raw:.2e} relative, before both orders are averaged")?;
-        }
-        out!(
-            "invalid values        {} of {} pairs",
-            found.invalid,
-            found.pairs
-        )?;
-        if let Some(gaps) = &answer.gaps {
-            out!(
-                "nodes without value   {} not measured, {} undefined or infinite, of {}",
-                gaps.negative,
-                gaps.not_finite,
-                gaps.nodes
-            )?;
-        }
-        out!(
-            "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
-            answer.worst_sampler()
-        )?;
+        answer.lines().iter().try_for_each(|line| out!("{line}"))?;
     }
     if let Some(gaps) = answer.excessive_gaps() {
         return Err(CliError::new(format!(

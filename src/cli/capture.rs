@@ -18,6 +18,7 @@ use super::{fit, interrupt, open};
 use crate::capture::Outcome;
 use crate::capture::event_lines::EventLines;
 use crate::capture::light_choice::Ranking;
+use crate::capture::lights::direction;
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
@@ -39,7 +40,7 @@ pub struct CaptureArgs {
     #[arg(long, value_name = "N|all|best:N", required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
-    #[arg(long, value_name = "AZ,EL", value_parser = parse_angles, allow_hyphen_values = true, conflicts_with = "resume")]
+    #[arg(long, value_name = "AZ,EL", value_parser = direction, allow_hyphen_values = true, conflicts_with = "resume")]
     light: Vec<StageAngles>,
     /// Folder that receives the session's folder
     #[arg(
@@ -106,19 +107,6 @@ impl CaptureArgs {
             console: ConsoleOptions::default(),
         }
     }
-}
-
-fn parse_angles(text: &str) -> Result<StageAngles, String> {
-    let parsed = text.split_once(',').and_then(|(azimuth, elevation)| {
-        let number = |text: &str| text.trim().parse().ok().filter(|x: &f64| x.is_finite());
-        Some((number(azimuth)?, number(elevation)?))
-    });
-    let (azimuth_deg, elevation_deg) =
-        parsed.ok_or("two numbers in degrees with a comma between, e.g. 40,35")?;
-    Ok(StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    })
 }
 
 impl CaptureArgs {
@@ -375,17 +363,4 @@ fn remaining(ranking: &Ranking) -> String {
         ranking.compared,
         left.join(", ")
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_direction_is_two_numbers() {
-        assert!(parse_angles("-40, 35.5").is_ok());
-        for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {
-            assert!(parse_angles(bad).is_err(), "{bad}");
-        }
-    }
 }

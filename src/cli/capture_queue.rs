@@ -12,7 +12,7 @@ use super::error::CliError;
 use super::output::{write_json, write_stderr};
 use super::progress::duration;
 use super::table::{Table, size};
-use super::{catalogue, fit, interrupt, open};
+use super::{fit, interrupt, open};
 use crate::capture::Outcome;
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
@@ -381,6 +381,6 @@ fn state(state: &RunState) -> String {
         RunState::Done {
             verdict: Some(verdict),
             ..
-        } => catalogue::word(*verdict).to_owned(),
+        } => verdict.word().to_owned(),
     }
 }

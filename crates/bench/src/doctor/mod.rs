@@ -137,3 +137,26 @@ pub fn examine(rig: &ResolvedRig) -> Vec<Check> {
     checks.extend(view::checks(rig, &library));
     checks
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Surroundings, resolve_rig};
+
+    #[test]
+    fn nothing_of_the_simulated_bench_fails() {
+        let rig = resolve_rig(Some("simulated"), &Surroundings::of_process(), Vec::new).unwrap();
+        let checks = examine(&rig);
+        let failed = checks.iter().find(|check| check.verdict == Verdict::Failed);
+        assert!(failed.is_none(), "{failed:?}");
+        for name in [
+            "configuration",
+            "disk space",
+            "sensor",
+            "view",
+            "depth of field",
+        ] {
+            assert!(checks.iter().any(|check| check.name == name), "{name}");
+        }
+    }
+}

@@ -154,3 +154,76 @@ fn name_of(root: &Path) -> String {
     let name = root.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+    use crate::session::example::session;
+
+    /// Answers in this order, and keeps the questions.
+    struct Scripted(RefCell<Vec<Answer>>, RefCell<Vec<String>>);
+
+    impl Worker for Scripted {
+        type Error = QueueError;
+
+        fn ask(&self, question: Question<'_>) -> Result<Answer, QueueError> {
+            self.1.borrow_mut().push(match question {
+                Question::Put {
+                    sample, run, of, ..
+                } => format!("{} {run}/{of}", sample.name),
+                Question::Resume { sample } => format!("resume {sample}"),
+                Question::Done { last } => format!("done {last}"),
+            });
+            Ok(self.0.borrow_mut().remove(0))
+        }
+
+        fn begin(&self, _: &Sample) -> Result<Job, QueueError> {
+            unreachable!("no sample is put on the bench")
+        }
+
+        fn resume(&self, _: &Path) -> Result<Job, QueueError> {
+            unreachable!("no session is resumed")
+        }
+
+        fn capture(&self, _: Job) -> Result<(), QueueError> {
+            unreachable!("nothing is captured")
+        }
+
+        fn fit(&self, root: &Path) -> Result<Fitted, QueueError> {
+            self.1.borrow_mut().push(format!("fit {}", root.is_dir()));
+            Ok(Fitted::Failed("dark".to_owned()))
+        }
+    }
+
+    #[test]
+    fn what_is_interrupted_and_not_fitted_comes_before_the_next_sample() {
+        let home = tempfile::tempdir().unwrap();
+        let list = home.path().join("list.toml");
+        std::fs::write(&list, "[[sample]]\nname = \"cup\"\nrepeats = 2\n").unwrap();
+        let sessions = home.path().join("sessions");
+        std::fs::create_dir(&sessions).unwrap();
+        let mut queue = Queue::open(&list, &sessions).unwrap();
+        let names = ["2026-11-21T02:34:00Z", "2026-11-21T03:34:00Z"];
+        let names = names.map(|began| session(&sessions, "cup", began));
+        for name in &names {
+            queue.begun("cup", name).unwrap();
+        }
+        queue.captured(&names[1]).unwrap();
+        let worker = |answers: &[Answer]| Scripted(answers.to_vec().into(), RefCell::default());
+        // An interrupted session is left, the other one's fit holds nothing up, one more is
+        // wanted and left out.
+        let answers = [
+            Answer::LeaveOut,
+            Answer::Repeat,
+            Answer::LeaveOut,
+            Answer::Go,
+        ];
+        let went = worker(&answers);
+        carry_out(&mut queue, &went).unwrap();
+        let asked = ["resume cup", "fit true", "done cup", "cup 3/3", "done cup"];
+        assert_eq!(*went.1.borrow(), asked);
+        assert_eq!(queue.left(), 0);
+    }
+}
