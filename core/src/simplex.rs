@@ -110,7 +110,6 @@ pub enum SimplexError {
     /// A value is infinite or not a number, or H is not positive semidefinite.
     #[error("the quadratic is not finite or not convex")]
     NotConvex,
-    /// The active set did not settle; H is not positive semidefinite.
     #[error("the active set did not settle in {0} iterations")]
     Unsettled(usize),
 }

@@ -90,13 +90,10 @@ pub struct MockFrame {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum MockCameraError {
-    /// The camera is gone.
     #[error("the camera was disconnected")]
     Disconnected,
-    /// No frame came.
     #[error("no frame within {timeout_s} s")]
     NoFrame { timeout_s: f64 },
-    /// The radiance source renders another size than the sensor has.
     #[error("the radiance has {radiance} values, the sensor {sensor} pixels")]
     SizeMismatch { radiance: usize, sensor: usize },
 }

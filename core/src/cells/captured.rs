@@ -38,13 +38,10 @@ pub struct CellImage {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum AverageError {
-    /// Numbers of images and lights differ.
     #[error("{images} images for {lights} lights of the scene")]
     ImageCount { images: usize, lights: usize },
-    /// More lights than can be fitted together.
     #[error("{lights} lights; at most {MAX_LIGHTS} can be fitted together")]
     TooManyLights { lights: usize },
-    /// An image does not have the camera's size.
     #[error(
         "image {image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1]
     )]
@@ -55,10 +52,8 @@ pub enum AverageError {
         /// The camera's width and height.
         expected: [usize; 2],
     },
-    /// No part of the sample is seen away from edges.
     #[error("no part of the sample is seen away from its edges")]
     NothingSeen,
-    /// Nothing of an image can be compared.
     #[error("no cell of image {image} has enough valid pixels on the sample")]
     NothingValid {
         /// Index of the image with the fewest valid pixels.

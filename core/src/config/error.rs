@@ -15,7 +15,6 @@ pub enum ConfigError {
         file: PathBuf,
         source: std::io::Error,
     },
-    /// Not a TOML document.
     #[error("{file}:{line}:{column}: not valid TOML: {problem}")]
     Syntax {
         file: String,
@@ -40,7 +39,6 @@ pub enum ConfigError {
         value: String,
         character: &'static str,
     },
-    /// A key that means nothing here.
     #[error("{file}:{line}: unknown key `{}`; known here: {}", excerpt(key), known.join(", "))]
     UnknownKey {
         file: String,
@@ -49,7 +47,6 @@ pub enum ConfigError {
         key: String,
         known: Vec<String>,
     },
-    /// A key that must be there is not.
     #[error("{file}:{line}: `{key}` is missing; it must be {allowed}")]
     Missing {
         file: String,
@@ -70,7 +67,6 @@ pub enum ConfigError {
         value: String,
         allowed: String,
     },
-    /// No rig of this name.
     #[error("there is no rig named {name:?}; known: {}", known.join(", "))]
     UnknownRig { name: String, known: Vec<String> },
     /// No rig was named, and the simulated one would stand in for real hardware.

@@ -17,7 +17,6 @@ pub enum BeneathError {
     /// Its path has something else than plain names.
     #[error("{path:?} is no path below the folder")]
     Path { path: String },
-    /// It, or a folder on the way to it, is a symbolic link.
     #[error("{}: it is a symbolic link, which is not followed", path.display())]
     Link { path: PathBuf },
     /// It is a folder, a pipe, a device.

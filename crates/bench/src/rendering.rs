@@ -73,16 +73,13 @@ pub enum RenderError {
     /// What the scene file describes.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The file has no `[brdf]`.
     #[error("{}: [brdf] is missing", path.display())]
     NoBrdf { path: PathBuf },
     /// The fit.
     #[error(transparent)]
     Fit(#[from] FitRecordError),
-    /// A deviation of a material that is no fit.
     #[error("the material is no fit, so that no posterior samples say how sure it is")]
     NoFit,
-    /// A fit without samples.
     #[error("{} has no posterior samples: it drew none, or an earlier version made it", fit.display())]
     NoSamples { fit: PathBuf },
     /// The BRDF could not be loaded.

@@ -33,7 +33,6 @@ pub enum BenchmarkError {
         threads: usize,
         source: rayon::ThreadPoolBuildError,
     },
-    /// No case has the wanted text in its name.
     #[error("no case's name holds \"{only}\"")]
     NoCase { only: String },
     /// The case's mesh.

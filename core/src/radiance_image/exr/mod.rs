@@ -37,10 +37,8 @@ pub enum ExrError {
         file: PathBuf,
         source: std::io::Error,
     },
-    /// Not an OpenEXR file, or a damaged one.
     #[error("{file} is not a readable OpenEXR file: {problem}")]
     Format { file: PathBuf, problem: String },
-    /// An image of another kind.
     #[error("{file} is {found}, not OpenEXR, which is read")]
     OtherKind { file: PathBuf, found: OtherKind },
     /// The file ends before its image does.
@@ -51,7 +49,6 @@ pub enum ExrError {
         /// The least length that its header and its table of blocks need.
         needed: u64,
     },
-    /// Another size than that of the camera whose image it should be.
     #[error("{file} is {width} x {height} pixels; the camera's image is {} x {}", expected[0], expected[1])]
     OtherSize {
         file: PathBuf,
@@ -60,7 +57,6 @@ pub enum ExrError {
         /// The camera's pixels per row, and rows.
         expected: [usize; 2],
     },
-    /// A size that the file's bytes cannot hold, or that no camera has.
     #[error(
         "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold (at most {MOST_PER_BYTE} pixels for each, and {MOST_PIXELS} in all)"
     )]
@@ -88,7 +84,6 @@ pub enum ExrError {
         /// Their names, joined by commas.
         known: String,
     },
-    /// No image of the requested name.
     #[error("{file} holds no image named {layer:?}; it holds {}", if known.is_empty() { "none" } else { known })]
     NoSuchLayer {
         file: PathBuf,
@@ -96,7 +91,6 @@ pub enum ExrError {
         /// The names that it has, joined by commas.
         known: String,
     },
-    /// Pixels, none of which is in the image.
     #[error(
         "{file}: none of its pixels (data window {} x {} at {}, {}) lies in its image (display window {} x {} at {}, {})",
         data[0], data[1], data[2], data[3], display[0], display[1], display[2], display[3]
@@ -108,7 +102,6 @@ pub enum ExrError {
         /// Width, height, left and top of the display window.
         display: [i64; 4],
     },
-    /// A kind of OpenEXR file that is not read.
     #[error("{file} is an OpenEXR file of a kind that is not read: {what}")]
     Kind { file: PathBuf, what: String },
     /// An image whose parts differ in size.

@@ -84,7 +84,6 @@ pub enum CalibratingError {
     /// The lamp cannot be watched.
     #[error("{0}")]
     Lamp(#[from] WatchError),
-    /// Another channel than the lamp has.
     #[error("the lamp has no channel {channel}")]
     NoChannel { channel: u8, channels: usize },
 
@@ -146,10 +145,8 @@ pub enum CalibratingError {
         lights: usize,
         light: usize,
     },
-    /// Images of a stage with axes.
     #[error("images alone do not state the angles of a stage with axes")]
     NoAngles,
-    /// Not an image for each fixed light.
     #[error("{images} images were named, the rig has {lights} lights")]
     ImageCount { images: usize, lights: usize },
     /// A session that holds no image.

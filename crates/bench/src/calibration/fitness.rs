@@ -23,14 +23,12 @@ pub enum Concern {
         /// UTC, RFC 3339.
         until: String,
     },
-    /// It is older than such records usually hold.
     #[error("record {id} is {days:.0} days old; such records usually hold for {usual_days:.0}")]
     Old {
         id: String,
         days: f64,
         usual_days: f64,
     },
-    /// It was measured with a warmer or colder sensor.
     #[error("record {id} was measured with the sensor at {then_c:.1} °C; it has {now_c:.1} °C now")]
     Temperature { id: String, then_c: f64, now_c: f64 },
     /// It was made in the future: a clock is wrong.

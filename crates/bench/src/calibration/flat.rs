@@ -62,10 +62,8 @@ struct Sum {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum FlatError {
-    /// A frame of another size.
     #[error("the frame has {found} pixels, the flat field {expected}")]
     FrameSize { found: usize, expected: usize },
-    /// No flats or no dark frames.
     #[error("{lit} flats and {dark} dark frames; at least one of each is needed")]
     TooFew { lit: u32, dark: u32 },
     /// Too little or too much light.

@@ -102,7 +102,6 @@ impl GlareRequest<'_> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum GlareError {
-    /// No trap is named.
     #[error("no trap is named")]
     NoTrap,
     /// A region leaves the image or holds too few pixels.
@@ -115,7 +114,6 @@ pub enum GlareError {
         /// Width and height of the image.
         size: [usize; 2],
     },
-    /// What is named as a trap is not dark.
     #[error(
         "the traps have {percent:.1}% of the card's radiance; at most {MAX_TRAP_PERCENT}% can be glare"
     )]

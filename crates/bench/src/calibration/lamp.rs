@@ -46,13 +46,11 @@ fn pairs<S: Serializer>(levels: &[LampLevel], to: S) -> Result<S::Ok, S::Error> 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum LampFitError {
-    /// Too few levels.
     #[error("{found} levels, and at least {MIN_LEVELS} are needed")]
     TooFew { found: usize },
     /// The scene is not lit by the lamp.
     #[error("the lamp adds no light to what the camera sees")]
     NoLight,
-    /// Still warming up at the end.
     #[error(
         "the lamp is still warming up: it was watched for {watched_s:.0} s, and its time constant is about {constant_s:.0} s"
     )]

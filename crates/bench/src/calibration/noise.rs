@@ -54,10 +54,8 @@ pub fn sensor_noise(
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum FrameNoiseError {
-    /// No sensor record.
     #[error("there is no sensor record in {place}")]
     NoSensor { place: String },
-    /// Frames of another camera.
     #[error(
         "the frames have {} x {} pixels, the rig's camera {} x {}",
         frames[0], frames[1], camera[0], camera[1]

@@ -56,16 +56,13 @@ pub enum ProcedureError {
     /// The frames do not make a flat field.
     #[error(transparent)]
     Flat(#[from] FlatError),
-    /// The light is too dim to saturate the sensor.
     #[error("the light brings the sensor to {reached_dn} DN in {longest_s} s, not to saturation")]
     TooDim { reached_dn: u16, longest_s: f64 },
-    /// The light saturates the sensor in the shortest exposure.
     #[error("the light saturates the sensor in the shortest exposure of {shortest_s} s")]
     TooBright { shortest_s: f64 },
     /// No frames without the light, but with all other, can be had.
     #[error("the light was not switched off")]
     NotOff,
-    /// No dark frames can be had.
     #[error(
         "the camera has no shutter, and the frames with the light covered are as bright as the others"
     )]

@@ -47,14 +47,12 @@ pub enum RotationError {
         /// The turn, from 0.
         index: usize,
     },
-    /// The shape is another one when turned.
     #[error("the shape is another one when turned by {angle_deg}°: up to {off_mm:.3} mm elsewhere")]
     NotSymmetric {
         angle_deg: f64,
         /// Largest distance of a turned point from the surface along the view.
         off_mm: f64,
     },
-    /// Nothing to compare.
     #[error(
         "only {found} regions of the sample are lit and in view, at least {needed} are compared"
     )]

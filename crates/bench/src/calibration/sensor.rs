@@ -37,10 +37,8 @@ pub enum Exposed {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum SensorFitError {
-    /// A frame of another size.
     #[error("the frame has {found} pixels, the first one had {expected}")]
     FrameSize { found: usize, expected: usize },
-    /// Too few frames of a kind.
     #[error("{what}: {found}, and at least {needed} are needed")]
     TooFew {
         what: &'static str,
@@ -52,17 +50,14 @@ pub enum SensorFitError {
         "no flat saturates; the brightest has a mean of {brightest_dn:.0} DN, so the full well remains unknown"
     )]
     NeverSaturates { brightest_dn: f64 },
-    /// The counts do not follow the light.
     #[error(
         "counts deviate by {error:.1}% from proportionality to light; at most {allowed:.0}% can be corrected"
     )]
     NotLinear { error: f64, allowed: f64 },
-    /// The counts follow the light by no smooth curve.
     #[error(
         "counts deviate by up to {error:.1}% from any smooth curve below 70% of saturation; at most {allowed:.0}% can be accepted"
     )]
     NotSmooth { error: f64, allowed: f64 },
-    /// Noise that does not grow with the light.
     #[error("the variance does not grow with the mean (slope {slope:.3e} DN per DN)")]
     NoPhotonNoise { slope: f64 },
 }

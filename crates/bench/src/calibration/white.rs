@@ -53,7 +53,6 @@ impl From<[usize; 4]> for Region {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum WhiteError {
-    /// A certificate that no diffuse standard has.
     #[error(
         "a reflectance of {value} ± {std} is no diffuse standard's: 0.02 to 1.2, known to a tenth"
     )]
@@ -61,7 +60,6 @@ pub enum WhiteError {
     /// The lamp grazes or is behind.
     #[error("an incidence of {degrees:.1} degrees is outside 0 to 85")]
     Incidence { degrees: f64 },
-    /// The region leaves the image or holds too few pixels.
     #[error(
         "the region of {width} x {height} pixels at ({x}, {y}) does not lie in the {image_width} x {image_height} image or holds fewer than {MIN_PIXELS} pixels without its margin"
     )]
@@ -79,7 +77,6 @@ pub enum WhiteError {
     /// Hardly any light.
     #[error("the region is dark: {mean:.3e} with a standard deviation of {std:.1e}")]
     Dark { mean: f64, std: f64 },
-    /// Not one evenly lit surface.
     #[error(
         "the region's quarters differ by {percent:.1}% from their mean; an evenly lit standard has less than 5%"
     )]

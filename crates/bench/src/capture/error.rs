@@ -19,7 +19,6 @@ pub enum CaptureError {
     /// The exposure rules make no sense.
     #[error(transparent)]
     Exposure(#[from] PlanError),
-    /// A planned light is outside the soft limits.
     #[error("light {light} ({angles}) is outside the stage's limits ({limits})")]
     LightOutOfReach {
         light: usize,
@@ -96,7 +95,6 @@ pub enum CaptureError {
         /// Signal over that of the first frame at the same exposure.
         change: super::exposure_check::SignalRatio,
     },
-    /// The lamp is not back where it was before the stage was homed anew.
     #[error(
         "light {light}: since the stage was homed anew, the image at the same exposure differs by {:.1} % \
          (root mean square of its pixels, beyond noise), as if the lamp stood roughly {turned_deg:.2}° \
@@ -130,14 +128,12 @@ pub enum CaptureError {
         temperature_c: f64,
         limit_c: f64,
     },
-    /// The camera is not the one of the plan.
     #[error("the camera's {what} is {found}, the plan was made for {expected}")]
     OtherCamera {
         what: &'static str,
         found: String,
         expected: String,
     },
-    /// The images contradict the exposure that the camera reports.
     #[error(
         "light {light}: the exposure is {exposure_s} s by the camera, but the images show \
          {ratio:.3} of the expected signal after {discarded} discarded frames"
@@ -149,12 +145,10 @@ pub enum CaptureError {
         /// Frames thrown away while waiting for the change.
         discarded: u32,
     },
-    /// No pixel shows any light from the lamp.
     #[error(
         "light {light}: the lamp is on by the stage, but the images of {exposure_s} s stay dark"
     )]
     NoLight { light: u32, exposure_s: f64 },
-    /// Every pixel is clipped in the shortest exposure.
     #[error(
         "light {light}: every pixel of the sample is saturated in the shortest exposure of {exposure_s} s"
     )]
@@ -172,7 +166,6 @@ pub enum CaptureError {
         found: String,
         expected: String,
     },
-    /// A thread could not be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[source] std::io::Error),
     /// A device's or the disk's thread ended unexpectedly.

@@ -118,7 +118,6 @@ pub enum PrepareError {
         first: StageAngles,
         second: StageAngles,
     },
-    /// The camera's frames have another size.
     #[error(
         "the camera gives frames of {} x {}, the rig file states {} x {}",
         is[0], is[1], stated[0], stated[1]

@@ -92,10 +92,8 @@ pub enum OpenError {
         /// `stage` or `camera`.
         what: &'static str,
     },
-    /// A manual stage without [`OpenOptions::operator`].
     #[error("the stage is manual, and no operator is given")]
     NoOperator,
-    /// The camera's colour filters are others than the rig file's.
     #[error("{device}: the format's colour filters are {is}, the rig file's {stated}")]
     Mosaic {
         device: String,

@@ -22,7 +22,6 @@ pub enum QueueError {
         line: usize,
         fact: String,
     },
-    /// Another process works on the queue.
     #[error("{}: another process works on this queue", path.display())]
     Locked { path: PathBuf },
     /// The system refuses.

@@ -47,7 +47,6 @@ pub enum ArchiveError {
     /// A file of the session has a name that an archive or another machine cannot take.
     #[error("{} cannot be packed: {why}", path.display())]
     Unpackable { path: PathBuf, why: String },
-    /// The archive would be a file of the session.
     #[error("{} is inside the session, which would then hold what its journal does not know", path.display())]
     Inside { path: PathBuf },
     /// The system refuses.

@@ -15,14 +15,12 @@ pub enum SessionError {
     /// The folder holds no session.
     #[error("{} is not a session: {why}", path.display())]
     NotASession { path: PathBuf, why: String },
-    /// The disk is full.
     #[error("no space left on the disk of {} ({operation})", path.display())]
     DiskFull {
         path: PathBuf,
         /// Which operation met the end of the disk.
         operation: &'static str,
     },
-    /// The file system holds as many files as it can.
     #[error("the file system of {} has no more files to give ({operation})", path.display())]
     NoMoreFiles {
         path: PathBuf,
@@ -51,14 +49,12 @@ pub enum SessionError {
         /// Of the file, hexadecimal.
         actual: String,
     },
-    /// A file has another length than the journal says.
     #[error("{} has {actual_bytes} bytes, the journal records {expected_bytes}", path.display())]
     Length {
         path: PathBuf,
         expected_bytes: u64,
         actual_bytes: u64,
     },
-    /// A file or folder of the session is a link.
     #[error("{} is a link to {}, and a session holds its files itself", path.display(), target.display())]
     Link { path: PathBuf, target: PathBuf },
     /// A value of `session.toml` is outside its range.
@@ -69,7 +65,6 @@ pub enum SessionError {
         value: String,
         allowed: String,
     },
-    /// The light has no merged image, because its capture did not come to its end.
     #[error(
         "light {light} of {} has no merged image, because the capture ended after {finished} of {planned} lights ({reason})",
         path.display()

@@ -420,7 +420,6 @@ pub enum FitRecordError {
     /// The folder is there already and not empty.
     #[error("{} exists and is not empty", path.display())]
     Exists { path: PathBuf },
-    /// The folder holds no fit and is no session that has one.
     #[error("{} holds no fit (no fit.toml, no fits/)", folder.display())]
     NoFit { folder: PathBuf },
     /// A text file that does not parse.

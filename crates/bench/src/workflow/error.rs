@@ -69,10 +69,8 @@ pub enum WorkflowError {
         file: Option<String>,
         source: Implausible,
     },
-    /// The processor cannot run the kernel.
     #[error("this processor lacks what kernel {0} needs")]
     Kernel(Kernel),
-    /// Uncertainties of a bench that is not refined.
     #[error("it is stated how well the bench is known, but the bench is not refined")]
     UnusedUncertainty,
     /// The fit needs more memory than it may have.

@@ -15,7 +15,6 @@ use crate::transport::Projection;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum StatedResultError {
-    /// A fit of image files: nobody knows where and when these were taken.
     #[error("{} is a fit outside a session: where and when its images were taken is not known", folder.display())]
     NoSession { folder: PathBuf },
     /// The session has no fit of this number.

@@ -43,7 +43,6 @@ pub enum HoldOut {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum HoldOutError {
-    /// There is one light, or none.
     #[error(
         "{lights} of the scene's lights has an image; one to fit and one to predict are needed"
     )]
@@ -51,7 +50,6 @@ pub enum HoldOutError {
     /// Nothing is left to fit or to predict.
     #[error("{held_out} of {lights} lights are to be predicted; allowed are 1 to {}", lights - 1)]
     Count { held_out: usize, lights: usize },
-    /// A light that is not there.
     #[error("there is no light {light}: the lights are 0 to {}", lights - 1)]
     NoSuchLight { light: usize, lights: usize },
 }

@@ -26,7 +26,6 @@ pub enum BatchError {
         line: usize,
         fact: String,
     },
-    /// There is no session to fit.
     #[error("no session is named")]
     Empty,
     /// The folder holds something else.
@@ -42,7 +41,6 @@ pub enum BatchError {
         then: String,
         now: String,
     },
-    /// The folder holds a batch of other jobs.
     #[error("{}: a batch of other jobs: {difference}", path.display())]
     OtherJobs { path: PathBuf, difference: String },
     /// A session is named twice.
@@ -66,7 +64,6 @@ pub enum BatchError {
         finished: usize,
         planned: usize,
     },
-    /// Options that no fit has.
     #[error("job {job}, fit \"{options}\": {fact}")]
     Options {
         job: usize,
@@ -76,20 +73,17 @@ pub enum BatchError {
     /// Another session stands where the job's stood.
     #[error("job {job}: {} is another session than the one that the batch was made with", session.display())]
     OtherSession { job: usize, session: PathBuf },
-    /// The job was done with other options, another version or another mask or dictionary.
     #[error("{}: job {job} was done with other options than it has now", path.display())]
     OtherOptions { path: PathBuf, job: usize },
     /// A record that is none.
     #[error("{}: {fact}", path.display())]
     Record { path: PathBuf, fact: String },
-    /// There is no job of this number.
     #[error("there is no job {index}: {} has jobs 1 to {jobs}", path.display())]
     NoSuchJob {
         index: usize,
         jobs: usize,
         path: PathBuf,
     },
-    /// So many fits at a time do not fit into the memory.
     #[error(
         "{parallel} fits at a time need about {needed_mib} MiB of memory, and {free_mib} MiB are free"
     )]
@@ -99,7 +93,6 @@ pub enum BatchError {
         free_mib: u64,
         fitting: usize,
     },
-    /// More tasks than an array may have.
     #[error("a job array has 1 to {most} tasks, not {tasks}")]
     Tasks { tasks: usize, most: usize },
     /// A command line that no job script can hold.

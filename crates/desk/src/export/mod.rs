@@ -182,7 +182,6 @@ pub enum ExportError {
     #[cfg(feature = "figures")]
     #[error(transparent)]
     Picture(#[from] crate::plot::PlotError),
-    /// No cell of the table is constrained by the images: nothing was measured.
     #[error("the images constrain no cell of the fit's table: there is no measured value to write")]
     NothingConstrained,
     /// The format states more than a fit knows.

@@ -34,12 +34,10 @@ pub struct ConstrainedComparison {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ConstrainedError {
-    /// Neither is a fit.
     #[error(
         "neither {estimate} nor {truth} is a fit, and only a fit has a table of what its images constrain"
     )]
     NoFit { estimate: String, truth: String },
-    /// No cell is left.
     #[error("the images constrain no cell of {estimate} and {truth}")]
     NoCell { estimate: String, truth: String },
 }

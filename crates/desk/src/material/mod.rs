@@ -36,7 +36,6 @@ pub enum MaterialError {
     /// The file or name that should give it.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
-    /// No embedded material has this name.
     #[error("no embedded material \"{name}\"")]
     UnknownMaterial { name: String },
     /// The projection onto a dictionary.

@@ -40,7 +40,6 @@ pub enum LoadError {
     /// A frame's sidecar.
     #[error("{}: {fact}", path.display())]
     Sidecar { path: PathBuf, fact: String },
-    /// A fit outside the session that is none of it.
     #[error("the fit in {} is none of {}", folder.display(), session.display())]
     OtherSession { folder: PathBuf, session: PathBuf },
     /// A fit that the session doesn't have.

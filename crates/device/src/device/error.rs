@@ -16,10 +16,8 @@ pub enum DeviceError {
     /// The system refuses access.
     #[error("{device}: permission denied")]
     PermissionDenied { device: String },
-    /// Another process holds it.
     #[error("{device} is in use by another process")]
     Busy { device: String },
-    /// Another program has claimed the camera's USB interface.
     #[error("another program has claimed the camera at {device}")]
     Claimed {
         /// Port as gphoto2 names it.
@@ -28,7 +26,6 @@ pub enum DeviceError {
     /// Another program controls a camera on the network.
     #[error("{device} is controlled by another program")]
     Controlled { device: String },
-    /// No answer in time.
     #[error("{device} did not answer within {timeout} (sent {sent:?})")]
     NoReply {
         device: String,
@@ -65,7 +62,6 @@ pub enum DeviceError {
     /// What a camera's program reports of a frame is not what may stand there.
     #[error("{program}: {fault}")]
     Answer { program: String, fault: AnswerFault },
-    /// Another camera than the one that is wanted.
     #[error("{device} is the camera {is:?}, and {wanted:?} is wanted")]
     OtherCamera {
         device: String,
@@ -80,7 +76,6 @@ pub enum DeviceError {
         /// The node of the same camera that does, where one is found.
         image_node: Option<String>,
     },
-    /// The camera offers compressed formats alone.
     #[error(
         "none of the formats of {device} is uncompressed: it offers {}",
         offered_formats(offered)
@@ -108,7 +103,6 @@ pub enum DeviceError {
         answer: String,
         expected: String,
     },
-    /// A frame that cannot be used.
     #[error("{device}: a frame cannot be used: {fault}")]
     BadFrame {
         device: String,
@@ -131,14 +125,12 @@ pub enum DeviceError {
     /// A move was requested while the position is unknown.
     #[error("{device} has not been homed since {since}, so its position is unknown")]
     NotHomed { device: String, since: String },
-    /// A target outside the configured limits.
     #[error("{device}: {target} is outside the limits ({limits})")]
     OutOfReach {
         device: String,
         target: StageAngles,
         limits: String,
     },
-    /// The device reports another state than the one commanded.
     #[error("{device}: {what} is {is} after {wanted} was commanded")]
     NotApplied {
         device: String,
@@ -160,7 +152,6 @@ pub enum DeviceError {
          and its guardian has taken the stage over"
     )]
     Relieved { device: String },
-    /// The guardian has ended, or does not answer.
     #[error("the guardian of {device} has ended or does not answer; the stage was stopped")]
     Unguarded { device: String },
     /// The device went away.
@@ -232,7 +223,6 @@ pub enum AlarmCause {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum FirmwareFault {
-    /// Too old.
     #[error("its firmware is {is}, and {needed} or later is needed")]
     Old { is: String, needed: &'static str },
     /// `$22=0`.
@@ -247,16 +237,13 @@ pub enum FirmwareFault {
     /// `$13` is not 0.
     #[error("positions are reported in inches ($13={0})")]
     Inches(f64),
-    /// Neither machine positions nor work positions with their offset.
     #[error("its status reports have no position: neither MPos, nor WPos and WCO")]
     NoPosition,
     /// Fewer axes than the stage uses.
     #[error("its status reports have {axes} axes, and axis {letter} is needed")]
     NoAxis { axes: usize, letter: char },
-    /// The safety door's input.
     #[error("the safety door input is open, or was opened and not confirmed since (Door:{0})")]
     Door(u8),
-    /// A feed hold.
     #[error("it is held and takes no command (Hold:{0})")]
     Held(u8),
     /// `$SLP`, or a sleep timer.
@@ -265,7 +252,6 @@ pub enum FirmwareFault {
     /// FluidNC could not read its configuration file.
     #[error("its configuration is faulty, and it moves nothing ({0})")]
     Configuration(String),
-    /// The processor restarts, because its supply voltage falls.
     #[error("it restarts again and again, because its supply voltage falls ({0:?})")]
     Undervoltage(String),
     /// The firmware restarts for another reason.
@@ -280,7 +266,6 @@ pub enum FirmwareFault {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum WebcamFault {
-    /// Not these frames.
     #[error("nokhwa gets no YUYV frames of {width} × {height} pixels from it: {said}")]
     NoFormat {
         width: u32,
@@ -308,7 +293,6 @@ pub enum ProgramFault {
         /// The name has no `/`.
         looked_in_path: bool,
     },
-    /// The file may not be executed.
     #[error("it may not be executed (mode {mode:04o})")]
     NotExecutable { mode: u32 },
     /// Its folder may not be entered, or its file system allows no programs.
@@ -317,7 +301,6 @@ pub enum ProgramFault {
     /// It is a folder.
     #[error("it is a folder")]
     Folder,
-    /// Its first line ends as Windows ends lines.
     #[error(
         "its first line ends with a carriage return, so that its interpreter is sought as {interpreter:?}"
     )]
@@ -325,10 +308,8 @@ pub enum ProgramFault {
     /// What its first line names does not exist or may not be executed.
     #[error("its interpreter {interpreter:?} cannot be run")]
     NoInterpreter { interpreter: String },
-    /// A binary whose loader does not exist.
     #[error("it is a program for another system: the loader that it names does not exist")]
     NoLoader,
-    /// Neither a binary for this processor nor a script with a first line.
     #[error("it is neither a program for this processor nor a script that begins with #!")]
     NotAProgram,
     /// The loader found no library (exit code 127).

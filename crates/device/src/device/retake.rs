@@ -13,7 +13,6 @@ pub const MAX_MISSING: u32 = 2;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum FrameFault {
-    /// The driver marks it so.
     #[error("the driver marks it as damaged")]
     Damaged,
     /// Its bytes are no image of the format.
@@ -34,7 +33,6 @@ pub enum FrameFault {
         /// Width and height of the camera.
         expected: [u32; 2],
     },
-    /// The camera reports another exposure or gain for it.
     #[error("the camera reports {what} {is} for it, and {wanted} was requested")]
     Settings {
         /// `exposure` or `gain`.

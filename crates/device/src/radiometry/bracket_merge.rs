@@ -82,16 +82,13 @@ pub enum BracketMergeError {
     /// Files that do not make a bracket.
     #[error(transparent)]
     Files(#[from] BracketError),
-    /// A mosaic of frames in colour.
     #[error("{} has {channels} channels, but a mosaic is one grey channel", path.display())]
     ColouredMosaic { path: PathBuf, channels: usize },
-    /// Colours of a sensor that has none.
     #[error("the sensor is described for red, green and blue, but {} is grey", path.display())]
     NoColours { path: PathBuf },
     /// Raw counts are asked of a format that bends them.
     #[error("{} is a JPEG, whose counts are not proportional to light", path.display())]
     Jpeg { path: PathBuf },
-    /// A response of other frames.
     #[error("the response has {curves} channels of 8 bits, but {} has {channels} of {bits} bits", path.display())]
     OtherResponse {
         path: PathBuf,
@@ -99,7 +96,6 @@ pub enum BracketMergeError {
         channels: usize,
         bits: u32,
     },
-    /// A count beyond the sensor's full scale.
     #[error("{} has a count of {count}, but {bits} bits end at {full_scale}", path.display())]
     Count {
         path: PathBuf,
@@ -107,7 +103,6 @@ pub enum BracketMergeError {
         bits: u32,
         full_scale: u16,
     },
-    /// Neither one channel nor three.
     #[error("the frames have neither one channel nor three")]
     Channels,
     /// The frames cannot be kept on disk.

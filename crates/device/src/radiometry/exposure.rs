@@ -115,7 +115,6 @@ pub enum PlanError {
         value: f64,
         allowed: &'static str,
     },
-    /// Even the shortest exposure clips.
     #[error(
         "bracket: the brightest pixel reaches {reached_fraction:.2} of the usable range in the \
          shortest exposure of {shortest_s} s, and {allowed_fraction:.2} is allowed"

@@ -42,7 +42,6 @@ pub enum MergeError {
     /// The noise model is impossible.
     #[error(transparent)]
     Sensor(#[from] SensorError),
-    /// A frame of another size than the bracket.
     #[error("the frame has {found} pixels and the bracket {width} x {height}")]
     FrameSize {
         found: usize,
@@ -50,13 +49,11 @@ pub enum MergeError {
         width: usize,
         height: usize,
     },
-    /// An exposure that cannot be.
     #[error("an exposure of {exposure_s} s is not a positive number")]
     Exposure { exposure_s: f64 },
     /// More frames than the sums can hold.
     #[error("more than {MAX_FRAMES} frames at one exposure")]
     TooManyFrames,
-    /// A bracket needs at least one light frame.
     #[error("the bracket has no light frame")]
     NoLightFrame,
 }

@@ -81,14 +81,12 @@ pub struct FlatField {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum SensorError {
-    /// A number outside its range.
     #[error("sensor: {name} = {value} is outside {allowed}")]
     OutOfRange {
         name: &'static str,
         value: f64,
         allowed: String,
     },
-    /// A map of another size than the frames.
     #[error("sensor: the {map} has {found} pixels and the frames have {expected}")]
     MapSize {
         map: &'static str,

@@ -79,14 +79,12 @@ pub enum CameraError {
         value: String,
         allowed: &'static str,
     },
-    /// No board in an image.
     #[error("no board in view {}: {found} of its corners found", index + 1)]
     NotFound {
         /// The image, from 0.
         index: usize,
         found: usize,
     },
-    /// More corners in a row than the board has.
     #[error(
         "view {} shows a board of {} × {} corners, the stated one has {} × {}",
         index + 1, found[0], found[1], stated[0], stated[1]
@@ -97,16 +95,13 @@ pub enum CameraError {
         found: [i32; 2],
         stated: [i32; 2],
     },
-    /// The view that gives the pose does not show the whole board.
     #[error("view {} does not show the board along both of its sides", index + 1)]
     NotWhole {
         /// The image, from 0.
         index: usize,
     },
-    /// Too few views.
     #[error("{found} views show the board, {needed} are needed")]
     TooFewViews { found: usize, needed: usize },
-    /// Corners only in a part of the image.
     #[error("the board's corners cover {percent:.0}% of the image, {needed:.0}% are needed")]
     Uncovered { percent: f64, needed: f64 },
     /// Focal length and distance cannot be distinguished.
@@ -116,7 +111,6 @@ pub enum CameraError {
         found_deg: f64,
         needed_deg: f64,
     },
-    /// No camera of this kind explains the corners.
     #[error(
         "the corners are {rms_px:.2} pixels (root mean square) from where a board of this kind would show them, {rejected} of {corners} are left out"
     )]
@@ -125,7 +119,6 @@ pub enum CameraError {
         rejected: usize,
         corners: usize,
     },
-    /// The distortion that was found is none of a lens.
     #[error("the corners are explained by a distortion that no lens has: {0}")]
     Folded(#[from] crate::transport::distortion::Folded),
 }

@@ -32,7 +32,6 @@ pub enum SphereError {
         value: String,
         allowed: &'static str,
     },
-    /// Images of different sizes, or not of the camera's.
     #[error("an image has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
         /// Width and height of the image.
@@ -40,7 +39,6 @@ pub enum SphereError {
         /// Width and height that the camera has.
         camera: [usize; 2],
     },
-    /// No circle of the sphere's size.
     #[error(
         "no outline of a sphere of {radius_mm} mm ({radius_px:.1} pixels) in the image: its best circle is visible along {percent:.0}% of its way"
     )]
@@ -58,7 +56,6 @@ pub enum SphereError {
     /// The outline is too faint or too irregular.
     #[error("the outline at ({x:.0}, {y:.0}) could not be fitted: {why}")]
     Unfitted { x: f64, y: f64, why: String },
-    /// The fitted radius is not the stated one.
     #[error(
         "the outline has a radius of {found_mm:.4} ± {std_mm:.4} mm by the camera's scale, the sphere {stated_mm}"
     )]
@@ -104,7 +101,6 @@ pub enum SphereError {
         /// Light of the second over that of the first.
         percent: f64,
     },
-    /// The rays of two spheres do not meet, or meet behind the lamp.
     #[error(
         "the two spheres' highlights in image {image} do not belong to one lamp: their rays miss each other by {deviations:.1} standard deviations"
     )]

@@ -112,10 +112,8 @@ pub struct ResidualShift {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum PoseError {
-    /// Numbers of images and lights differ.
     #[error("{images} images for {lights} lights")]
     ImageCount { images: usize, lights: usize },
-    /// An image does not have the camera's size.
     #[error("the image of light {light} is not {width} × {height} pixels as the camera's are")]
     ImageSize {
         /// From 0.
@@ -123,7 +121,6 @@ pub enum PoseError {
         width: usize,
         height: usize,
     },
-    /// The pose is stated to be exact.
     #[error(
         "uncertainty.rotation_deg or uncertainty.translation_mm is 0: the pose is exactly known"
     )]
@@ -131,7 +128,6 @@ pub enum PoseError {
     /// Fewer pixels than a few patches.
     #[error("the images are too small to compare edges")]
     TooSmall,
-    /// The camera looks past the mesh.
     #[error("{percent:.0}% of the sample's mesh lies in the camera's view")]
     OutsideView { percent: f64 },
     /// Nothing to align.

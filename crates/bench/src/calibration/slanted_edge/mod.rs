@@ -94,17 +94,14 @@ pub fn check_counts(images: usize, regions: usize, heights: usize) -> Result<(),
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum EdgeError {
-    /// Images or regions that cannot be assigned to heights.
     #[error("{images} images and {regions} regions were named for {heights} heights")]
     Counts {
         images: usize,
         regions: usize,
         heights: usize,
     },
-    /// One image, and one region of it, for several heights.
     #[error("one image cannot show {heights} heights at the same position")]
     OneImage { heights: usize },
-    /// Not the camera's image.
     #[error("image {image} has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
         image: usize,
@@ -112,7 +109,6 @@ pub enum EdgeError {
         found: [usize; 2],
         camera: [usize; 2],
     },
-    /// The region is not in the image, or too small.
     #[error(
         "the region of {width} x {height} pixels at ({x}, {y}) is not inside image {image} or has less than {LEAST_SIDE_PX} pixels on a side", width = .region.width, height = .region.height, x = .region.x, y = .region.y
     )]
@@ -140,7 +136,6 @@ pub enum EdgeError {
         "the edge in image {image} is tilted by {degrees:.1} degrees against the pixels' rows or columns"
     )]
     Tilt { image: usize, degrees: f64 },
-    /// Too little of the edge.
     #[error(
         "{pixels} usable pixels along {length:.0} pixels of the edge in image {image}: too few"
     )]
@@ -149,7 +144,6 @@ pub enum EdgeError {
         pixels: usize,
         length: f64,
     },
-    /// Saturated or masked pixels near the edge.
     #[error("{percent:.0}% of the pixels near the edge in image {image} are masked or saturated")]
     Masked { image: usize, percent: f64 },
     /// The camera does not see a target at that height.

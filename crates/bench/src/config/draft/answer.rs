@@ -95,7 +95,6 @@ pub enum AnswerError {
     /// Not given, and there is no default.
     #[error("the answer `{key}` is missing; it must be {allowed}")]
     Missing { key: &'static str, allowed: String },
-    /// To no question.
     #[error("there is no question `{}`; known: {}", excerpt(key), known.join(", "))]
     Unknown {
         key: String,

@@ -42,7 +42,6 @@ pub enum CertificateError {
     /// The session's own files, or what the stage did.
     #[error("{}: {fact}", session.display())]
     NotWhole { session: PathBuf, fact: String },
-    /// The fit has no budget, which a certificate is made of.
     #[error("fit {number} of {} has no budget of uncertainty", session.display())]
     NoBudget { session: PathBuf, number: u32 },
     /// The folder of repeats.

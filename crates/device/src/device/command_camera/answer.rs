@@ -22,7 +22,6 @@ pub enum AnswerFault {
     /// Not JSON, or a value of another type than its key's.
     #[error("its answer is no such JSON object: {0}")]
     Malformed(String),
-    /// A key that has no meaning.
     #[error("its answer has the unknown key {0:?}")]
     UnknownKey(String),
     /// A value outside its range.

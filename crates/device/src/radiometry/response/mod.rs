@@ -151,17 +151,14 @@ pub enum ResponseError {
     /// One exposure does not determine a curve.
     #[error("{found} different exposures, and at least {MIN_EXPOSURES} are needed")]
     TooFewExposures { found: usize },
-    /// Too few pixels are neither black nor white in two frames.
     #[error(
         "{found} pixels are well exposed in two frames or more, and at least {MIN_SAMPLES} are needed"
     )]
     TooFewSamples { found: usize },
-    /// Counts that hardly reach over the range.
     #[error(
         "the well exposed counts reach from {low} to {high} only, which leaves the rest of the curve unknown"
     )]
     NarrowRange { low: usize, high: usize },
-    /// Longer exposures that are not brighter.
     #[error(
         "counts do not grow with the exposure: longer frames are brighter in {percent:.0}% of the cases only"
     )]
