@@ -111,10 +111,8 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             discard,
         } => {
             let mut camera = which.open(context, false)?;
-            let settings = camera.configure(CameraSettings {
-                exposure: Seconds(exposure_ms * 1e-3),
-                gain: *gain,
-            })?;
+            let settings =
+                camera.configure(CameraSettings::new(Seconds(exposure_ms * 1e-3), *gain))?;
             warn_of_other(*exposure_ms, *gain, settings, context);
             let mut retakes = Retakes::default();
             let frame = grab(&mut *camera, *discard, &mut retakes)?;
@@ -138,10 +136,7 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             port,
             discard,
         } => {
-            let wanted = CameraSettings {
-                exposure: Seconds(exposure_ms * 1e-3),
-                gain: *gain,
-            };
+            let wanted = CameraSettings::new(Seconds(exposure_ms * 1e-3), *gain);
             let mut camera = which.open(context, true)?;
             let settings = camera.configure(wanted)?;
             warn_of_other(*exposure_ms, *gain, settings, context);

@@ -132,10 +132,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             azimuth,
             elevation,
         } => {
-            let target = StageAngles {
-                azimuth_deg: *azimuth,
-                elevation_deg: *elevation,
-            };
+            let target = StageAngles::new(*azimuth, *elevation);
             let mut open = which.open_to_reach(target, context)?.guarded()?;
             context.note("homing first: the position is unknown after connecting");
             let status = stoppable(&mut *open.stage, |stage, _| {

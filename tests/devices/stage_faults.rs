@@ -142,10 +142,7 @@ const TARGET: [f64; 2] = [60.0, 45.0];
 const REPLY_TIMEOUT: Seconds = Seconds(0.9);
 
 fn angles([azimuth_deg, elevation_deg]: [f64; 2]) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 fn axes(scale: f64) -> TwoAxes {

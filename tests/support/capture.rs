@@ -96,10 +96,7 @@ pub struct Bench(pub Arc<Mutex<World>>);
 
 impl Bench {
     pub fn new() -> Self {
-        let settings = CameraSettings {
-            exposure: Seconds(1.0),
-            gain: 1.0,
-        };
+        let settings = CameraSettings::new(Seconds(1.0), 1.0);
         Self(Arc::new(Mutex::new(World {
             position: None,
             lamp: LampState::Off,
@@ -234,10 +231,7 @@ impl LightStage for Stage {
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
         let mut world = self.0.world();
         world.homings += 1;
-        world.position = Some(StageAngles {
-            azimuth_deg: 0.0,
-            elevation_deg: 0.0,
-        });
+        world.position = Some(StageAngles::new(0.0, 0.0));
         Ok(StageStatus {
             activity: StageActivity::Idle,
             position: world.position,

@@ -128,23 +128,9 @@ pub fn session(parent: &Path, fit: &FitRecord, lab: &str, complete: bool) -> Pat
             elevation_deg: 80.0,
         })
         .unwrap();
-    let key = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind: FrameKind::Light,
-    };
-    let settings = CameraSettings {
-        exposure: Seconds(0.004),
-        gain: 1.0,
-    };
-    let raw = RawFrame {
-        width: 4,
-        height: 3,
-        counts: vec![100; 12],
-        sequence: None,
-        timestamp: None,
-    };
+    let key = FrameKey::new(0, 0, 0, FrameKind::Light);
+    let settings = CameraSettings::new(Seconds(0.004), 1.0);
+    let raw = RawFrame::new(4, 3, vec![100; 12]);
     let sidecar = Sidecar::of_frame(key, LampState::On(LampChannel(0)), settings);
     writer.commit_frame(&raw, &sidecar).unwrap();
     writer.record(Event::LightStop { light: 0 }).unwrap();
@@ -212,10 +198,7 @@ fn record(simulated: bool, lab: &str) -> SessionRecord {
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
             estimated_files: 0,
-            lights: vec![StageAngles {
-                azimuth_deg: 10.0,
-                elevation_deg: 80.0,
-            }],
+            lights: vec![StageAngles::new(10.0, 80.0)],
         },
         calibration: vec![CalibrationCopy {
             id: "lights/20261101T100000Z-lights".to_owned(),

@@ -45,10 +45,7 @@ pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {
     let request = CardRequest {
         rig: &rig.config,
         traps: &args.trap,
-        trap_reflectance: Measured {
-            value: args.trap_reflectance,
-            std: args.trap_reflectance_std,
-        },
+        trap_reflectance: Measured::new(args.trap_reflectance, args.trap_reflectance_std),
         frames: args.frames,
         open: &open::of_port()?,
     };

@@ -87,10 +87,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     let request = WhiteRequest {
         rig: &rig.config,
         images: &args.image,
-        reflectance: Measured {
-            value: args.reflectance,
-            std: args.reflectance_std,
-        },
+        reflectance: Measured::new(args.reflectance, args.reflectance_std),
         incidence_deg: args.incidence,
         incidence_std_deg: args.incidence_std,
         certificate: args.certificate.as_deref(),

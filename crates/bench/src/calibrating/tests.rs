@@ -62,10 +62,7 @@ fn a_flat_field_takes_the_sensor_record_measured_just_before() {
         rig: &rig,
         frames: 8,
         ambient: false,
-        radiance: Some(Measured {
-            value: 0.4,
-            std: 0.002,
-        }),
+        radiance: Some(Measured::new(0.4, 0.002)),
         open: &open,
     };
     let flat = flat.measure(&place, &attendant).unwrap();

@@ -38,10 +38,7 @@ impl FlatFit {
     pub fn responsivity_e_s(&self, radiance: Measured, gain: Measured) -> Measured {
         let value = self.rate_e_s / radiance.value;
         let relative = (radiance.std / radiance.value).hypot(gain.std / gain.value);
-        Measured {
-            value,
-            std: value * relative,
-        }
+        Measured::new(value, value * relative)
     }
 
     /// Standard deviation of the response between pixels, relative.

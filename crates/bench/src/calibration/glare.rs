@@ -73,10 +73,10 @@ impl GlareValues {
     /// All of it: share of the light and its standard uncertainty.
     pub fn total(&self) -> Measured {
         let [[a, b], [_, d]] = self.glare().covariance;
-        Measured {
-            value: self.uniform.value + self.halo.value,
-            std: (a + 2.0 * b + d).max(0.0).sqrt(),
-        }
+        Measured::new(
+            self.uniform.value + self.halo.value,
+            (a + 2.0 * b + d).max(0.0).sqrt(),
+        )
     }
 }
 
@@ -370,10 +370,7 @@ mod tests {
         let request = GlareRequest {
             image: &image,
             traps: &traps,
-            trap_reflectance: Measured {
-                value: 0.001,
-                std: 0.0001,
-            },
+            trap_reflectance: Measured::new(0.001, 0.0001),
         };
         measure(&request).unwrap()
     }

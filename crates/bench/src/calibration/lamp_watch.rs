@@ -201,10 +201,10 @@ impl<'a> Watch<'a> {
 
     fn configure(&mut self, exposure_s: f64, options: &WatchOptions) -> Result<f64, WatchError> {
         let [shortest, longest] = self.camera.info().exposure_range.map(|s| s.0);
-        let applied = self.camera.configure(CameraSettings {
-            exposure: Seconds(exposure_s.clamp(shortest, longest)),
-            gain: options.gain,
-        })?;
+        let applied = self.camera.configure(CameraSettings::new(
+            Seconds(exposure_s.clamp(shortest, longest)),
+            options.gain,
+        ))?;
         for _ in 0..options.discard {
             self.grab(FrameKind::Light)?;
         }
@@ -213,12 +213,9 @@ impl<'a> Watch<'a> {
 
     fn grab(&mut self, kind: FrameKind) -> Result<RawFrame, WatchError> {
         self.taken += 1;
-        Ok(self.camera.grab(FrameKey {
-            light: KEY_OF_WATCH,
-            exposure: 0,
-            repeat: self.taken,
-            kind,
-        })?)
+        Ok(self
+            .camera
+            .grab(FrameKey::new(KEY_OF_WATCH, 0, self.taken, kind))?)
     }
 }
 

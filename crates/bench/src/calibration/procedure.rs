@@ -278,10 +278,10 @@ impl<'a> Bench<'a> {
 
     fn configure(&mut self, exposure_s: f64) -> Result<f64, ProcedureError> {
         let [shortest, longest] = self.camera.info().exposure_range.map(|s| s.0);
-        let applied = self.camera.configure(CameraSettings {
-            exposure: Seconds(exposure_s.clamp(shortest, longest)),
-            gain: self.options.gain,
-        })?;
+        let applied = self.camera.configure(CameraSettings::new(
+            Seconds(exposure_s.clamp(shortest, longest)),
+            self.options.gain,
+        ))?;
         Ok(applied.exposure.0)
     }
 

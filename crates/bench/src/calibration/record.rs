@@ -129,6 +129,13 @@ pub struct Measured {
     pub std: f64,
 }
 
+impl Measured {
+    /// A value with its standard uncertainty.
+    pub const fn new(value: f64, std: f64) -> Self {
+        Self { value, std }
+    }
+}
+
 /// A value that no bench can have.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)]

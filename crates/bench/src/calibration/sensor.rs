@@ -304,10 +304,7 @@ impl PhotonTransfer {
             });
             bend.linearity.variance(per_coefficient).sqrt()
         };
-        let gain = Measured {
-            value: line.slope,
-            std: line.slope_std.hypot(by_bend(|line| line.slope)),
-        };
+        let gain = Measured::new(line.slope, line.slope_std.hypot(by_bend(|line| line.slope)));
         let mut read_noise_e = line.read_noise_e();
         read_noise_e.std = read_noise_e
             .std

@@ -141,10 +141,10 @@ impl Orientation {
 
 /// Angles with an elevation that counts from elsewhere.
 pub fn offset(angles: StageAngles, elevation_offset_rad: f64) -> StageAngles {
-    StageAngles {
-        azimuth_deg: angles.azimuth_deg,
-        elevation_deg: angles.elevation_deg + elevation_offset_rad.to_degrees(),
-    }
+    StageAngles::new(
+        angles.azimuth_deg,
+        angles.elevation_deg + elevation_offset_rad.to_degrees(),
+    )
 }
 
 /// The lights of a stage.
@@ -336,10 +336,7 @@ pub(super) mod tests {
         let mut angles = Vec::new();
         let mut found = Vec::new();
         for k in 0..16 {
-            let here = StageAngles {
-                azimuth_deg: 137.5 * f64::from(k),
-                elevation_deg: 35.0 + 3.4 * f64::from(k),
-            };
+            let here = StageAngles::new(137.5 * f64::from(k), 35.0 + 3.4 * f64::from(k));
             let true_light = truth * offset(here, offset_rad).to_light();
             let across = tangents(true_light);
             let own_rad = 3e-4;

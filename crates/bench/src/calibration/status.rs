@@ -216,10 +216,10 @@ fn of_lamp(v: &LampValues) -> String {
     format!(
         "warm after {:.0} s, drift {} % per hour, steady from {}",
         v.warm_up_time_s,
-        pair(Measured {
-            value: 100.0 * v.drift_per_hour.value,
-            std: 100.0 * v.drift_per_hour.std,
-        }),
+        pair(Measured::new(
+            100.0 * v.drift_per_hour.value,
+            100.0 * v.drift_per_hour.std
+        )),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
     )
@@ -261,10 +261,7 @@ fn of_pose(v: &PoseValues) -> String {
     let three = |values: [f64; 3], from: usize| {
         let pairs = (0..3).map(|i| {
             let std = std[from + i];
-            pair(Measured {
-                value: values[i],
-                std,
-            })
+            pair(Measured::new(values[i], std))
         });
         pairs.collect::<Vec<_>>().join(", ")
     };
@@ -277,12 +274,7 @@ fn of_pose(v: &PoseValues) -> String {
 }
 
 fn of_glare(v: &GlareValues) -> String {
-    let percent = |m: Measured| {
-        pair(Measured {
-            value: 100.0 * m.value,
-            std: 100.0 * m.std,
-        })
-    };
+    let percent = |m: Measured| pair(Measured::new(100.0 * m.value, 100.0 * m.std));
     format!(
         "{} % of the light evenly, {} % in a halo of {:.0}% of the diagonal",
         percent(v.uniform),

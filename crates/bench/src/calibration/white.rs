@@ -118,10 +118,7 @@ pub fn irradiance(
     let cos = standard.incidence_rad.cos();
     let angle = standard.incidence_rad.tan() * standard.incidence_std_rad;
     let certificate = reflectance.std / reflectance.value;
-    let mut found = [Measured {
-        value: 0.0,
-        std: 0.0,
-    }; 3];
+    let mut found = [Measured::new(0.0, 0.0); 3];
     for (channel, found) in found.iter_mut().enumerate() {
         let mean = quarters.iter().map(|q| q.mean[channel]).sum::<f64>() / 4.0;
         let noise2 = quarters.iter().map(|q| q.variance[channel]).sum::<f64>() / 16.0;
@@ -145,10 +142,7 @@ pub fn irradiance(
         let spread2 = quarters.iter().map(|q| off(q).powi(2)).sum::<f64>() / 3.0 / 4.0;
         let relative2 = certificate.powi(2) + angle.powi(2) + spread2.max(noise2 / (mean * mean));
         let value = PI * mean / (reflectance.value * cos);
-        *found = Measured {
-            value,
-            std: value * relative2.sqrt(),
-        };
+        *found = Measured::new(value, value * relative2.sqrt());
     }
     Ok(found)
 }

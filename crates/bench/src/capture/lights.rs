@@ -55,10 +55,7 @@ pub fn direction(text: &str) -> Result<StageAngles, String> {
     });
     let (azimuth_deg, elevation_deg) =
         parsed.ok_or("two numbers in degrees with a comma between, e.g. 40,35")?;
-    Ok(StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    })
+    Ok(StageAngles::new(azimuth_deg, elevation_deg))
 }
 
 #[cfg(test)]

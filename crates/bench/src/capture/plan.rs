@@ -291,14 +291,8 @@ mod tests {
     #[test]
     fn lights_outside_the_limits_and_too_many_are_refused() {
         let listed = LightChoice::Listed(vec![
-            StageAngles {
-                azimuth_deg: 0.0,
-                elevation_deg: 80.0,
-            },
-            StageAngles {
-                azimuth_deg: 0.0,
-                elevation_deg: 86.0,
-            },
+            StageAngles::new(0.0, 80.0),
+            StageAngles::new(0.0, 86.0),
         ]);
         let error = plan(&request(listed), &noise()).unwrap_err().to_string();
         assert!(

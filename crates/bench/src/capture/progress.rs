@@ -281,12 +281,7 @@ mod tests {
 
     #[test]
     fn events_have_the_documented_form_and_are_read_again() {
-        let key = FrameKey {
-            light: 2,
-            exposure: 5,
-            repeat: 1,
-            kind: FrameKind::Light,
-        };
+        let key = FrameKey::new(2, 5, 1, FrameKind::Light);
         let lamp = LampState::On(LampChannel(1));
         let stored = Progress::Stored {
             frame: FrameEvent::new(key, false, Seconds(0.02), lamp),
@@ -301,10 +296,7 @@ mod tests {
                 "file": "raw/L002_E05_R01_light.png", "retakes": 3,
             })
         );
-        let target = StageAngles {
-            azimuth_deg: 10.0,
-            elevation_deg: 20.5,
-        };
+        let target = StageAngles::new(10.0, 20.5);
         let moving = json(Progress::Moving { light: 1, target });
         assert_eq!(
             moving,

@@ -356,12 +356,7 @@ mod tests {
                 elevation_deg: 81.0,
             },
             Event::Frame {
-                key: FrameKey {
-                    light: 0,
-                    exposure: 3,
-                    repeat: 1,
-                    kind: FrameKind::Ambient,
-                },
+                key: FrameKey::new(0, 3, 1, FrameKind::Ambient),
                 image: FileDigest::of("raw/a.png", b"counts"),
                 sidecar: FileDigest::of("raw/a.toml", b"sidecar"),
             },

@@ -239,10 +239,7 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
                 light,
                 azimuth_deg,
                 elevation_deg,
-            } if light == number => Some(StageAngles {
-                azimuth_deg,
-                elevation_deg,
-            }),
+            } if light == number => Some(StageAngles::new(azimuth_deg, elevation_deg)),
             _ => None,
         });
     let exposures = exposures(session, number)?;

@@ -271,17 +271,11 @@ fn parts(symbol: &str) -> (&str, &str) {
 }
 
 fn percent(m: Measured) -> Measured {
-    Measured {
-        value: 100.0 * m.value,
-        std: 100.0 * m.std,
-    }
+    Measured::new(100.0 * m.value, 100.0 * m.std)
 }
 
 fn inverse(m: Measured) -> Measured {
-    Measured {
-        value: 1.0 / m.value,
-        std: m.std / m.value.powi(2),
-    }
+    Measured::new(1.0 / m.value, m.std / m.value.powi(2))
 }
 
 /// Value and uncertainty to two digits of the latter, with the unit.

@@ -239,13 +239,7 @@ mod tests {
     }
 
     fn frame([width, height]: [u32; 2], counts: usize) -> RawFrame {
-        RawFrame {
-            width,
-            height,
-            counts: vec![7; counts],
-            sequence: None,
-            timestamp: None,
-        }
+        RawFrame::new(width, height, vec![7; counts])
     }
 
     fn bad(fault: FrameFault) -> Result<RawFrame, DeviceError> {
@@ -273,12 +267,7 @@ mod tests {
             exposure_step: Seconds(1e-3),
         };
         let mut camera = Scripted(info, answers.iter().rev().copied().collect(), 0);
-        let key = FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: 0,
-            kind: FrameKind::Light,
-        };
+        let key = FrameKey::new(0, 0, 0, FrameKind::Light);
         let mut retakes = Retakes::default();
         let result = grab_right(&mut camera, key, &mut retakes);
         (result, retakes, camera.1.len())

@@ -405,10 +405,7 @@ pub fn locate_all(
         // Too far to be determined, or another distance for every light.
         return Ok((all(&by_stated)?, None));
     }
-    let distance = Measured {
-        value: 1.0 / inverse,
-        std: std / (inverse * inverse),
-    };
+    let distance = Measured::new(1.0 / inverse, std / (inverse * inverse));
     let found = all(&|_| Distance::Stated(distance.value, distance.std))?;
     Ok((found, Some(distance)))
 }
