@@ -8,9 +8,9 @@
 mod as_model;
 #[cfg(feature = "reports")]
 pub mod batch;
-pub mod bench;
 #[cfg(feature = "console")]
 mod bench_ports;
+pub mod benchmark;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
@@ -123,7 +123,7 @@ commands! {
     #[cfg(feature = "reports")]
     Batch(batch::BatchArgs) => batch::run,
     Export(export::ExportArgs) => export::run,
-    Bench(bench::BenchArgs) => bench::run,
+    Bench(benchmark::BenchArgs) => benchmark::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
     Guardian(guardian::GuardianArgs) => guardian::run,

@@ -81,7 +81,7 @@ const DARK_EXPOSURES: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
 const KEY_OF_CALIBRATION: u32 = 1 << 31;
 
 /// A camera in front of the light, with what it takes to vary the exposure.
-pub struct Bench<'a> {
+pub struct LitCamera<'a> {
     camera: &'a mut dyn Camera,
     options: ProcedureOptions,
     /// Covers and uncovers the light where the camera has no shutter; returns
@@ -95,7 +95,7 @@ pub struct Bench<'a> {
     taken: u32,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> LitCamera<'a> {
     /// `cover(true)` covers the light or the lens of a camera without shutter,
     /// `cover(false)` uncovers it; it returns whether that was done.
     pub fn new(

@@ -16,7 +16,6 @@
 //! the files to a session, each journalled, `fit.toml` last: a folder without it
 //! is no fit.
 
-mod bench;
 mod budget;
 pub mod coverage;
 #[doc(hidden)]
@@ -25,6 +24,7 @@ mod find;
 mod folder;
 pub mod lookup;
 mod posterior;
+mod refined;
 mod tables;
 mod verdict;
 
@@ -46,7 +46,6 @@ use crate::session::SessionError;
 
 pub use crate::inverse::intervals::Interval;
 pub use crate::scores::{ChannelScore, MetricScores, ScoreSheet};
-pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
 pub use find::{find, find_in_session};
 pub use folder::parse;
@@ -56,6 +55,7 @@ pub use folder::{
 };
 pub(in crate::session) use folder::{commit_numbered, numbers_of, write_files};
 pub use posterior::PosteriorRecord;
+pub use refined::{BenchParameter, BenchRecord};
 pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 

@@ -75,7 +75,7 @@ pub enum BatchError {
     OtherSession { job: usize, session: PathBuf },
     #[error("{}: job {job} was done with other options than it has now", path.display())]
     OtherOptions { path: PathBuf, job: usize },
-    /// A record that is none.
+    /// An invalid record.
     #[error("{}: {fact}", path.display())]
     Record { path: PathBuf, fact: String },
     #[error("there is no job {index}: {} has jobs 1 to {jobs}", path.display())]

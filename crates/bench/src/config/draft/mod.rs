@@ -4,7 +4,7 @@
 //! Nothing here opens a device or writes a file. `rig init` asks the questions.
 
 mod answer;
-mod bench;
+mod answered;
 mod completion;
 mod found;
 mod interview;
@@ -17,7 +17,7 @@ mod text;
 use std::path::Path;
 
 pub use answer::{Answer, AnswerError, Answers};
-pub use bench::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
+pub use answered::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 pub use found::Found;
 pub use interview::{Interviewee, interview};
 pub use next::Step;

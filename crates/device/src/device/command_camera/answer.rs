@@ -20,7 +20,7 @@ const OWN: &str = "_";
 #[allow(missing_docs)]
 pub enum AnswerFault {
     /// Not JSON, or a value of another type than its key's.
-    #[error("its answer is no such JSON object: {0}")]
+    #[error("its answer is not a JSON object of the expected form: {0}")]
     Malformed(String),
     #[error("its answer has the unknown key {0:?}")]
     UnknownKey(String),
