@@ -3,7 +3,7 @@
 
 use std::process::Output;
 
-use crate::command_support::{SCENE, assert_fails, rig, run, words};
+use crate::command_support::{SCENE, assert_fails, cases, rig, run, words};
 
 /// Bad inputs and what must be said about them, one a line: name, command line, a text of the rig
 /// or scene file with what it is replaced by, part of the error's line, part of the hint.
@@ -85,12 +85,8 @@ pub fn assert_fails_well(name: &str, output: &Output, fact: &str, hint: &str) {
 }
 
 /// Runs each case in a folder of its own, with `file` made from `text`.
-fn run_cases(cases: &str, file: &str, text: &str, others: &[(&str, &[u8])]) {
-    for case in cases.trim().lines() {
-        let columns: Vec<_> = case.split('|').map(str::trim).collect();
-        let [name, arguments, change, fact, hint] = columns[..] else {
-            panic!("five columns: {case}");
-        };
+fn run_cases(table: &str, file: &str, text: &str, others: &[(&str, &[u8])]) {
+    for [name, arguments, change, fact, hint] in cases(table) {
         let folder = tempfile::tempdir().unwrap();
         let mut text = text.to_owned();
         if let Some((from, to)) = change.replace("\\n", "\n").split_once(" => ") {

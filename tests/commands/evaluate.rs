@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::command_support::{ended, run_line};
+use crate::command_support::{cases, ended, run_line};
 use assert_cmd::Command;
 use serde_json::Value;
 
@@ -321,39 +321,20 @@ fn the_outside_method_is_scored_like_a_fit() {
 fn what_is_wrong_is_said_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("mine.txt"), "kept").unwrap();
-    for (words, said) in [
-        (
-            "evaluate nothing --out a",
-            "\"nothing\" is no experiment (known: atoms, accuracy",
-        ),
-        (
-            "evaluate atoms --lights 3 --out a",
-            "atoms has no setting lights",
-        ),
-        (
-            "evaluate shapes --materials gold --out a",
-            "\"gold\" is unknown (known: bundled, mirrors",
-        ),
-        (
-            "evaluate shapes --materials pvc --out a",
-            "did you mean `nbrdf:pvc`?",
-        ),
-        ("evaluate shaps --out a", "did you mean `shapes`?"),
-        (
-            "evaluate atoms --truth-spp 64 --out a",
-            "atoms has no setting truth-spp",
-        ),
-        ("evaluate shapes --sphere 4 --out a", "8..=512"),
-        (
-            "evaluate form --materials nbrdf:pvc --out a",
-            "no material of class in-span",
-        ),
-        (
-            "evaluate shapes --out .",
-            "not empty, and no experiment's folder",
-        ),
-        ("evaluate shapes", "--out <DIR>"),
-    ] {
+    for [words, said] in cases(
+        r#"
+        evaluate nothing --out a | "nothing" is no experiment (known: atoms, accuracy
+        evaluate atoms --lights 3 --out a | atoms has no setting lights
+        evaluate shapes --materials gold --out a | "gold" is unknown (known: bundled, mirrors
+        evaluate shapes --materials pvc --out a | did you mean `nbrdf:pvc`?
+        evaluate shaps --out a | did you mean `shapes`?
+        evaluate atoms --truth-spp 64 --out a | atoms has no setting truth-spp
+        evaluate shapes --sphere 4 --out a | 8..=512
+        evaluate form --materials nbrdf:pvc --out a | no material of class in-span
+        evaluate shapes --out . | not empty, and no experiment's folder
+        evaluate shapes | --out <DIR>
+    "#,
+    ) {
         let (code, _, stderr) = rig(folder.path(), words);
         assert_eq!(code, 1, "{words}");
         assert!(

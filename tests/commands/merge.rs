@@ -1,6 +1,6 @@
 //! `rig merge` and `rig calibrate response` on folders of frames.
 
-use crate::command_support::words;
+use crate::command_support::{cases, words};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -92,23 +92,13 @@ fn single_frames_become_an_image_each() {
             .output()
             .unwrap()
     };
-    for (words, fact, hint) in [
-        (
-            "a.png other/a.png --each no",
-            "would both become no/a.exr",
-            "another name",
-        ),
-        (
-            "a.png small.png --each no",
-            "10 x 10",
-            "leave the odd frame out",
-        ),
-        (
-            "b.png c_2s.png --each no",
-            "exposure of b.png is unknown",
-            "--exposures",
-        ),
-    ] {
+    for [words, fact, hint] in cases(
+        "
+        a.png other/a.png --each no | would both become no/a.exr | another name
+        a.png small.png --each no | 10 x 10 | leave the odd frame out
+        b.png c_2s.png --each no | exposure of b.png is unknown | --exposures
+    ",
+    ) {
         let output = merge(words);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(

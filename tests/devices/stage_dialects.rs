@@ -7,7 +7,7 @@ use std::process::Output;
 
 use mock_devices::grbl::{Dialect, DialectSimulator};
 
-use crate::command_support::{self, words};
+use crate::command_support::{self, cases, words};
 
 use command_support::{assert_fails, rig_file_on_port, text};
 
@@ -498,33 +498,15 @@ fn who_answers_on_a_port_is_named() {
         })
         .unwrap()
     };
-    for (report, fact, hint) in [
-        (
-            "@01 0 OK IDLE -- 0",
-            "that is a Zaber device",
-            "driver = \"zaber\"",
-        ),
-        (
-            "echo:Unknown command: \"?\"",
-            "that is a 3D printer's firmware",
-            "this firmware is not supported",
-        ),
-        (
-            "{\"r\":{},\"f\":[1,0,10]}",
-            "that is TinyG",
-            "this firmware is not supported",
-        ),
-        (
-            "Brownout detector was triggered",
-            "its supply voltage falls (\"Brownout",
-            "see to its power supply",
-        ),
-        (
-            "rst:0x10 (RTCWDT_RTC_RESET),boot:0x13",
-            "it restarts instead of answering (\"rst:0x10",
-            "is not that of this board",
-        ),
-    ] {
+    for [report, fact, hint] in cases(
+        r#"
+        @01 0 OK IDLE -- 0 | that is a Zaber device | driver = "zaber"
+        echo:Unknown command: "?" | that is a 3D printer's firmware | this firmware is not supported
+        {"r":{},"f":[1,0,10]} | that is TinyG | this firmware is not supported
+        Brownout detector was triggered | its supply voltage falls ("Brownout | see to its power supply
+        rst:0x10 (RTCWDT_RTC_RESET),boot:0x13 | it restarts instead of answering ("rst:0x10 | is not that of this board
+    "#,
+    ) {
         let simulator = saying(report);
         let (_folder, file) = rig_file(simulator.path());
         let output = run(&["stage", "status", "--rig", &file]);

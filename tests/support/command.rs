@@ -84,6 +84,16 @@ pub fn words(line: &str) -> Vec<&str> {
     line.split_whitespace().collect()
 }
 
+/// The cases of a table, one a line, with `|` between their columns.
+pub fn cases<const N: usize>(table: &str) -> impl Iterator<Item = [&str; N]> {
+    table.trim().lines().map(|case| {
+        let columns: Vec<_> = case.split('|').map(str::trim).collect();
+        columns
+            .try_into()
+            .unwrap_or_else(|_| panic!("{N} columns: {case}"))
+    })
+}
+
 /// A small scene that renders.
 pub const SCENE: &str = r#"
 [camera]
