@@ -99,7 +99,7 @@ enum BrdfCommand {
         #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
-        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8, 512))]
+        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8usize, 512))]
         size: usize,
         /// Writes the reference projection's weights here
         #[arg(long, value_name = "WEIGHTS.csv")]

@@ -257,7 +257,7 @@ fn the_lamp_is_watched_and_a_failure_keeps_the_old_record() {
     let records = std::fs::read_dir(at.join("calibration/simulated/lamp")).unwrap();
     assert_eq!(records.count(), 1);
     for (wrong, advice) in [
-        (["--minutes", "1"], "it must be a number from 2 to 240"),
+        (["--minutes", "1"], "not a number in 2 to 240"),
         (["--channel", "7"], "its channels are 0 to 2"),
     ] {
         let output = rig(at).args(&lamp[..2]).args(wrong).output().unwrap();

@@ -119,6 +119,10 @@ fn literals(source: &str) -> Vec<String> {
             rest = rest.split_once('\n').map_or("", |(_, after)| after);
         } else if let Some(after) = ["'\"'", "'\\\"'"].iter().find_map(|q| rest.strip_prefix(q)) {
             rest = after;
+        } else if let Some(raw) = rest.strip_prefix("r#\"") {
+            let (text, after) = raw.split_once("\"#").unwrap_or((raw, ""));
+            found.push(text.to_owned());
+            rest = after;
         } else if c == '"' {
             let (text, after) = literal(&rest[1..]);
             found.push(text);

@@ -23,7 +23,7 @@ pub struct CompareArgs {
     #[arg(long)]
     constrained: bool,
     /// Pixels per side of the spheres, 8 to 512; published figures use 128
-    #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8, 512))]
+    #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8usize, 512))]
     size: usize,
     /// JSON instead of a table
     #[arg(long)]

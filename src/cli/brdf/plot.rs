@@ -40,7 +40,7 @@ pub struct PlotArgs {
     #[arg(long, value_parser = channel_letters)]
     channels: Option<String>,
     /// Pixels per side of each sphere, 8 to 512
-    #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = within(8, 512))]
+    #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = within(8usize, 512))]
     size: usize,
 }
 

@@ -402,11 +402,15 @@ pub fn open_camera_for_a_look(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {
-    if rig.simulation.is_none() {
+    let Some(simulation) = &rig.simulation else {
         return open_camera(rig, options);
-    }
+    };
+    let room = Room {
+        resolution_px: rig.camera.resolution_px,
+        radiance_w_m2_sr: simulation.ambient_w_m2_sr as f32,
+    };
     let options = OpenOptions {
-        sees: Some(Arc::new(Room::of_rig(rig))),
+        sees: Some(Arc::new(room)),
         operator: Some(Arc::new(Nobody)),
         ..OpenOptions::default()
     };

@@ -4,23 +4,12 @@ use std::sync::Arc;
 
 use mock_devices::{Illumination, RadianceSource};
 
-use crate::config::RigConfig;
-
 /// The room's light alone.
 pub struct Room {
-    resolution_px: [u32; 2],
-    radiance_w_m2_sr: f32,
-}
-
-impl Room {
-    /// Around the simulated bench of a rig.
-    pub fn of_rig(rig: &RigConfig) -> Self {
-        let simulation = rig.simulation.as_ref();
-        Self {
-            resolution_px: rig.camera.resolution_px,
-            radiance_w_m2_sr: simulation.map_or(0.0, |s| s.ambient_w_m2_sr) as f32,
-        }
-    }
+    /// Pixels per row, rows.
+    pub resolution_px: [u32; 2],
+    /// Radiance everywhere, W/(m² sr).
+    pub radiance_w_m2_sr: f32,
 }
 
 impl RadianceSource for Room {
