@@ -196,8 +196,9 @@ fn quotations() -> BTreeSet<String> {
         if runs_it.iter().any(|mark| source.contains(mark)) {
             // A table has a case on each line. Names of keys and options are no phrases.
             for text in literals(&source) {
-                let cells = text.split(['|', '\n']).map(str::trim);
-                let phrases = [text.as_str()].into_iter().chain(cells);
+                let table = Some(text.as_str()).filter(|text| text.contains(" | "));
+                let cells = table.into_iter().flat_map(|text| text.split(['|', '\n']));
+                let phrases = [text.as_str()].into_iter().chain(cells.map(str::trim));
                 quoted.extend(phrases.filter(|text| text.contains(' ')).map(str::to_owned));
             }
         }
