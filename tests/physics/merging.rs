@@ -60,7 +60,7 @@ impl Bench {
                 frame: FrameKey {
                     light: 0,
                     exposure: 0,
-                    repeat: repeat,
+                    repeat,
                     kind: 0,
                 },
             };

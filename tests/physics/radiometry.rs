@@ -499,8 +499,8 @@ fn the_simulated_sensor_with_its_shipped_records_gives_unit_pulls() {
                         seed: 50,
                         frame: FrameKey {
                             light: (level * 1e6) as u32,
-                            exposure: exposure,
-                            repeat: repeat,
+                            exposure,
+                            repeat,
                             kind: role as u32,
                         },
                     };

@@ -144,10 +144,11 @@ fn capture<W: Worker>(
 
 fn fit<W: Worker>(queue: &mut Queue, worker: &W, root: &Path) -> Result<(), W::Error> {
     let session = name_of(root);
-    Ok(match worker.fit(root)? {
-        Fitted::Verdict(verdict) => queue.done(&session, verdict, None)?,
-        Fitted::Failed(fact) => queue.done(&session, None, Some(fact))?,
-    })
+    let (verdict, error) = match worker.fit(root)? {
+        Fitted::Verdict(verdict) => (verdict, None),
+        Fitted::Failed(fact) => (None, Some(fact)),
+    };
+    Ok(queue.done(&session, verdict, error)?)
 }
 
 fn name_of(root: &Path) -> String {
