@@ -9,6 +9,7 @@
 //! | fit a captured session, or images of a scene | [`workflow::fit_session`], [`workflow::fit_images`] |
 //! | fit and report many sessions, on one machine or many | [`batch`] |
 //! | read sessions and fits | [`session::Session`], [`session::fit_record`] |
+//! | check a bench before anything moves | [`doctor`] |
 //! | list the sessions of a folder, compare repeats | [`catalogue`] |
 //! | capture many samples, one after the other | [`queue`] |
 //! | merge exposure brackets into radiance | [`radiometry`] |
@@ -37,8 +38,8 @@ pub use rig_core::{
 #[cfg(feature = "figures")]
 pub use rig_bench::plot;
 pub use rig_bench::{
-    beneath, calibrating, calibration, capture, catalogue, checksum, config, fault, queue,
-    rendering, session, shell_words, simulation, workflow,
+    beneath, calibrating, calibration, capture, catalogue, checksum, config, doctor, fault, queue,
+    rendering, session, shell_words, simulation, workflow, write_queue,
 };
 #[cfg(feature = "console")]
 pub use rig_console::console;
@@ -48,7 +49,7 @@ pub use rig_desk::{cluster, export, material, result_table};
 pub use rig_device::{device, interrupt, radiometry};
 pub use rig_lab::benchmark;
 #[cfg(feature = "experiments")]
-pub use rig_lab::evaluate;
+pub use rig_lab::{evaluate, job_array};
 
 pub mod cli;
 

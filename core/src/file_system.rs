@@ -51,7 +51,7 @@ impl fmt::Display for Lack {
     }
 }
 
-/// So answers a file system that has no such operation: SMB and vboxsf say EINVAL, FUSE
+/// Errors by which file systems refuse an operation that they lack: SMB and vboxsf EINVAL, FUSE
 /// ENOSYS or ENOTSUP, some EBADF.
 const NOT_OFFERED: [Errno; 5] = [
     Errno::INVAL,

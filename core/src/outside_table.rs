@@ -130,18 +130,14 @@ fn without_blanks_after(line: &str, separator: char) -> String {
 
 /// A field that is not one finite number.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum NotNumber {
     /// None, or one beyond all bounds.
     #[error("\"{}\" is no number", excerpt(.0))]
     Other(String),
     /// With a comma that separates decimals or thousands.
     #[error("\"{}\" is {} or {}", excerpt(.text), .readings[0], .readings[1])]
-    Several {
-        /// As written.
-        text: String,
-        /// What it may mean.
-        readings: [f64; 2],
-    },
+    Several { text: String, readings: [f64; 2] },
 }
 
 /// The number in a field, written with a decimal point or comma.

@@ -13,7 +13,7 @@ const WINDOWS_1252: [char; 32] = [
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotText {
     /// UTF-16 with halves of characters, or cut within one.
-    #[error("it begins as UTF-16 text, but holds what UTF-16 has not")]
+    #[error("it starts as UTF-16 text, but has an invalid code unit")]
     Utf16,
     /// A byte that UTF-8 has not.
     #[error(

@@ -96,15 +96,13 @@ pub struct Solution {
 
 /// Why there is no solution.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SimplexError {
     /// H is not N × N, g not N, the start not N, or N = 0.
     #[error("quadratic of {rows} x {columns} with a gradient of {gradient} and a start of {start}")]
     Shape {
-        /// Rows of H.
         rows: usize,
-        /// Columns of H.
         columns: usize,
-        /// Length of g.
         gradient: usize,
         /// Length of the start (that of g if none was given).
         start: usize,
@@ -112,7 +110,6 @@ pub enum SimplexError {
     /// A value is infinite or not a number, or H is not positive semidefinite.
     #[error("the quadratic is not finite or not convex")]
     NotConvex,
-    /// The active set did not settle; H is not positive semidefinite.
     #[error("the active set did not settle in {0} iterations")]
     Unsettled(usize),
 }

@@ -68,6 +68,14 @@ pub struct StageAngles {
 }
 
 impl StageAngles {
+    /// An azimuth and an elevation, degrees.
+    pub const fn new(azimuth_deg: f64, elevation_deg: f64) -> Self {
+        Self {
+            azimuth_deg,
+            elevation_deg,
+        }
+    }
+
     /// Unit vector from the sample towards the lamp, stage frame.
     pub fn to_light(self) -> glam::DVec3 {
         let (sin_az, cos_az) = self.azimuth_deg.to_radians().sin_cos();
@@ -112,11 +120,7 @@ mod tests {
             [(0.0, 0.0), (35.0, 60.0), (-120.0, 12.5), (180.0, 89.0)]
         {
             let back = StageAngles::from_direction(
-                StageAngles {
-                    azimuth_deg,
-                    elevation_deg,
-                }
-                .to_light(),
+                StageAngles::new(azimuth_deg, elevation_deg).to_light(),
             );
             assert!(
                 (back.azimuth_deg - azimuth_deg).abs() < 1e-9,
@@ -155,11 +159,7 @@ mod tests {
 
     #[test]
     fn straight_up_is_plus_z() {
-        let up = StageAngles {
-            azimuth_deg: 77.0,
-            elevation_deg: 90.0,
-        }
-        .to_light();
+        let up = StageAngles::new(77.0, 90.0).to_light();
         assert!((up - glam::DVec3::Z).length() < 1e-12);
     }
 }

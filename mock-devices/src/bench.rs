@@ -48,6 +48,7 @@ pub struct Kinematics {
 
 /// What the two motors do with the lamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
 pub enum Mount {
     /// They are its azimuth and its elevation.
     #[default]
@@ -57,14 +58,10 @@ pub enum Mount {
     Arc {
         /// Radius of the lamp's way, mm.
         radius_mm: f64,
-        /// Height of the arc's centre, mm.
         centre_height_mm: f64,
     },
     /// The lamp's x and y, mm.
-    Gantry {
-        /// Its height, mm.
-        height_mm: f64,
-    },
+    Gantry { height_mm: f64 },
 }
 
 impl Kinematics {

@@ -9,14 +9,13 @@ use std::sync::{Arc, Mutex};
 
 /// What the camera around the sensor can do.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct CameraConfig {
     /// Shortest and longest exposure, seconds.
     pub exposure_range_s: [f64; 2],
-    /// Step of the exposure, seconds.
     pub exposure_step_s: f64,
     /// Smallest and largest gain, as factors.
     pub gain_range: [f64; 2],
-    /// Step of the gain.
     pub gain_step: f64,
     /// Time between the starts of two frames, seconds, where the exposure is not longer.
     pub frame_interval_s: f64,
@@ -89,24 +88,14 @@ pub struct MockFrame {
 
 /// Why there is no frame.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum MockCameraError {
-    /// The camera is gone.
     #[error("the camera was disconnected")]
     Disconnected,
-    /// No frame came.
     #[error("no frame within {timeout_s} s")]
-    NoFrame {
-        /// How long was waited, seconds.
-        timeout_s: f64,
-    },
-    /// The radiance source renders another size than the sensor has.
+    NoFrame { timeout_s: f64 },
     #[error("the radiance has {radiance} values, the sensor {sensor} pixels")]
-    SizeMismatch {
-        /// Values given.
-        radiance: usize,
-        /// Pixels of the sensor.
-        sensor: usize,
-    },
+    SizeMismatch { radiance: usize, sensor: usize },
 }
 
 /// Something that goes wrong at a camera.

@@ -95,10 +95,9 @@ pub struct NoiseKey {
 
 /// The place of a frame in a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[allow(missing_docs)]
 pub struct FrameKey {
-    /// Index of the light direction.
     pub light: u32,
-    /// Index of the exposure.
     pub exposure: u32,
     /// Repeat at the same settings.
     pub repeat: u32,

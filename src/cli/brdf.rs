@@ -10,9 +10,9 @@ use clap::{Args, Subcommand};
 
 use spec::{advise, load};
 
+use super::number::within;
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
-use crate::brdf::check::ALBEDO_ANGLES_DEG;
 use crate::brdf::{Dictionary, nbrdf, score};
 use crate::export::{self, ExportError, ModelFormat, TableFormat};
 use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
@@ -99,7 +99,7 @@ enum BrdfCommand {
         #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
-        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
+        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8usize, 512))]
         size: usize,
         /// Writes the reference projection's weights here
         #[arg(long, value_name = "WEIGHTS.csv")]
@@ -120,13 +120,6 @@ enum BrdfCommand {
         #[arg(long, value_name = "FILE.binary|.bsdf|.mtlx|.py|.glb")]
         out: PathBuf,
     },
-}
-
-fn sphere_size(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(size) if (8..=512).contains(&size) => Ok(size),
-        _ => Err("allowed are 8 to 512".to_owned()),
-    }
 }
 
 /// Runs `rig brdf`.
@@ -205,33 +198,7 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     if json {
         write_json(&answer)?;
     } else {
-        out!("directional albedo (1 is all light reflected)")?;
-        out!("  theta_i      R      G      B")?;
-        for (theta, [r, g, b]) in ALBEDO_ANGLES_DEG.iter().zip(&found.albedo) {
-            out!("  {theta:>5}° {r:>8.4} {g:>6.4} {b:>6.4}")?;
-        }
-        out!("largest albedo        {:.4}", found.largest_albedo)?;
-        out!("reciprocity, worst    {:.2e} relative", found.reciprocity)?;
-        if let Some(raw) = answer.reciprocity_as_measured {
-            out!("  as measured         {raw:.2e} relative, before both orders are averaged")?;
-        }
-        out!(
-            "invalid values        {} of {} pairs",
-            found.invalid,
-            found.pairs
-        )?;
-        if let Some(gaps) = &answer.gaps {
-            out!(
-                "nodes without value   {} not measured, {} undefined or infinite, of {}",
-                gaps.negative,
-                gaps.not_finite,
-                gaps.nodes
-            )?;
-        }
-        out!(
-            "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
-            answer.worst_sampler()
-        )?;
+        answer.lines().iter().try_for_each(|line| out!("{line}"))?;
     }
     if let Some(gaps) = answer.excessive_gaps() {
         return Err(CliError::new(format!(

@@ -1,20 +1,17 @@
 //! `rig camera`: the camera by hand.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-use mock_devices::{Illumination, RadianceSource};
 
 use super::context::Context;
 use super::error::CliError;
+use super::number::within;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
-use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
-use crate::config::{CameraDriver, ResolvedRig, RigConfig};
+use crate::capture::open::open_camera_for_a_look;
+use crate::config::{CameraDriver, ResolvedRig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::frame_figures::FrameFigures;
-use crate::device::manual::Nobody;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
@@ -42,10 +39,10 @@ enum Action {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
         /// Exposure (ms)
-        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = within(1e-6, 1e9))]
         exposure_ms: f64,
         /// Analogue gain, a factor; 1 is the camera's lowest
-        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = within(1e-6, 1e9))]
         gain: f64,
         /// Frames to let pass after the change of settings
         #[arg(long, value_name = "FRAMES", default_value_t = 3)]
@@ -61,10 +58,10 @@ enum Action {
         #[command(flatten)]
         which: Which,
         /// Exposure (ms)
-        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = within(1e-6, 1e9))]
         exposure_ms: f64,
         /// Analogue gain, a factor; 1 is the camera's lowest
-        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = within(1e-6, 1e9))]
         gain: f64,
         /// Port of the page on 127.0.0.1; 0 takes a free one
         #[arg(long, value_name = "PORT", default_value_t = 0)]
@@ -91,13 +88,6 @@ struct Which {
     json: bool,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if (1e-6..=1e9).contains(&value) => Ok(value),
-        _ => Err("a number above 0".to_owned()),
-    }
-}
-
 fn format_code(name: &str) -> Result<[u8; 4], String> {
     fourcc_of_name(name).ok_or_else(|| FORMAT_NAME.to_owned())
 }
@@ -121,10 +111,8 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             discard,
         } => {
             let mut camera = which.open(context, false)?;
-            let settings = camera.configure(CameraSettings {
-                exposure: Seconds(exposure_ms * 1e-3),
-                gain: *gain,
-            })?;
+            let settings =
+                camera.configure(CameraSettings::new(Seconds(exposure_ms * 1e-3), *gain))?;
             warn_of_other(*exposure_ms, *gain, settings, context);
             let mut retakes = Retakes::default();
             let frame = grab(&mut *camera, *discard, &mut retakes)?;
@@ -148,10 +136,7 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             port,
             discard,
         } => {
-            let wanted = CameraSettings {
-                exposure: Seconds(exposure_ms * 1e-3),
-                gain: *gain,
-            };
+            let wanted = CameraSettings::new(Seconds(exposure_ms * 1e-3), *gain);
             let mut camera = which.open(context, true)?;
             let settings = camera.configure(wanted)?;
             warn_of_other(*exposure_ms, *gain, settings, context);
@@ -356,10 +341,7 @@ impl Which {
             return open_device(device, self.format, preview);
         }
         let rig = self.rig.resolve(context)?.config;
-        match &rig.simulation {
-            None => Ok(open_camera_for_a_look(&rig, &open::of_port()?)?),
-            Some(_) => open_simulated(&rig),
-        }
+        Ok(open_camera_for_a_look(&rig, &open::of_port()?)?)
     }
 }
 
@@ -397,38 +379,4 @@ fn open_device(_: &str, _: Option<[u8; 4]>, _: bool) -> Result<Box<dyn Camera>, 
 #[cfg(not(feature = "v4l"))]
 fn without_v4l() -> CliError {
     crate::capture::open::OpenError::NoVideo4Linux.into()
-}
-
-/// The simulated camera on a bench whose lamp is off, as it is while nobody
-/// uses its stage: the room's light alone.
-fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
-    let simulation = rig.simulation.as_ref();
-    let room = Room {
-        resolution_px: rig.camera.resolution_px,
-        radiance_w_m2_sr: simulation.map_or(0.0, |s| s.ambient_w_m2_sr) as f32,
-    };
-    let options = OpenOptions {
-        sees: Some(Arc::new(room)),
-        operator: Some(Arc::new(Nobody)),
-        ..OpenOptions::default()
-    };
-    Ok(open_devices(rig, &options)?.camera)
-}
-
-/// What a simulated camera sees while the lamp is off.
-struct Room {
-    resolution_px: [u32; 2],
-    radiance_w_m2_sr: f32,
-}
-
-impl RadianceSource for Room {
-    fn resolution_px(&self) -> [u32; 2] {
-        self.resolution_px
-    }
-
-    fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
-        let [width, height] = self.resolution_px;
-        let pixels = width as usize * height as usize;
-        Arc::new(vec![self.radiance_w_m2_sr; pixels])
-    }
 }

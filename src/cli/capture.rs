@@ -6,8 +6,7 @@ use serde_json::json;
 
 #[cfg(feature = "console")]
 use super::capture_console::ConsoleOptions;
-use super::capture_events::EventLines;
-use super::capture_notices::{Terminal, advised};
+use super::capture_notices::Terminal;
 use super::capture_queue::{self, QueueRequest};
 use super::capture_run::{self, Ran};
 use super::context::Context;
@@ -17,7 +16,9 @@ use super::progress::duration;
 use super::rig_choice::RigArg;
 use super::{fit, interrupt, open};
 use crate::capture::Outcome;
+use crate::capture::event_lines::EventLines;
 use crate::capture::light_choice::Ranking;
+use crate::capture::lights::direction;
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
@@ -39,7 +40,7 @@ pub struct CaptureArgs {
     #[arg(long, value_name = "N|all|best:N", required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
-    #[arg(long, value_name = "AZ,EL", value_parser = parse_angles, allow_hyphen_values = true, conflicts_with = "resume")]
+    #[arg(long, value_name = "AZ,EL", value_parser = direction, allow_hyphen_values = true, conflicts_with = "resume")]
     light: Vec<StageAngles>,
     /// Folder that receives the session's folder
     #[arg(
@@ -108,19 +109,6 @@ impl CaptureArgs {
     }
 }
 
-fn parse_angles(text: &str) -> Result<StageAngles, String> {
-    let parsed = text.split_once(',').and_then(|(azimuth, elevation)| {
-        let number = |text: &str| text.trim().parse().ok().filter(|x: &f64| x.is_finite());
-        Some((number(azimuth)?, number(elevation)?))
-    });
-    let (azimuth_deg, elevation_deg) =
-        parsed.ok_or("two numbers in degrees with a comma between, e.g. 40,35")?;
-    Ok(StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    })
-}
-
 impl CaptureArgs {
     /// The lights that are named.
     fn named_lights(&self) -> Option<Lights> {
@@ -166,7 +154,7 @@ pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         Ok(None) => Ok(()),
         Err(error) => {
             if let Some(lines) = lines {
-                lines.not_begun(&error);
+                lines.not_begun(error.fact().to_owned());
             }
             Err(error)
         }
@@ -190,7 +178,7 @@ fn start(
     let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));
     terminal.finish();
-    let prepared = prepared.map_err(|error| advised(error, &rig.config))?;
+    let prepared = prepared?;
     if let Some(ranking) = prepared.ranking() {
         context.note(remaining(ranking));
     }
@@ -291,7 +279,7 @@ fn unfitted(
                 format!("`rig fit {root}` and `rig report {root}` do the rest"),
             );
         if let Some(lines) = &lines {
-            lines.fit_failed(&error);
+            lines.fit_failed(error.fact().to_owned(), error.advice().map(str::to_owned));
             lines.flush();
         }
         error
@@ -375,17 +363,4 @@ fn remaining(ranking: &Ranking) -> String {
         ranking.compared,
         left.join(", ")
     )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_direction_is_two_numbers() {
-        assert!(parse_angles("-40, 35.5").is_ok());
-        for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {
-            assert!(parse_angles(bad).is_err(), "{bad}");
-        }
-    }
 }

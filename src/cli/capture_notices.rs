@@ -2,14 +2,12 @@
 
 use indicatif::ProgressBar;
 
-use super::capture_events::EventLines;
 use super::context::Context;
-use super::error::CliError;
-use super::preflight::{self, Keys};
-use super::sharpness;
+use super::preflight::FOR_BLUR;
 use crate::calibration::fitness::Concern;
-use crate::capture::findings::{Notice, PrepareError};
-use crate::config::RigConfig;
+use crate::calibration::record::Kind;
+use crate::capture::event_lines::EventLines;
+use crate::capture::findings::Notice;
 
 /// What else to do about a record that does not match its checksum.
 const CHANGED_ON_PURPOSE: &str =
@@ -34,16 +32,15 @@ impl<'a> Terminal<'a> {
 
     pub(super) fn show(&mut self, notice: Notice<'_>) {
         self.finish();
-        if let Notice::Comparing { directions } = notice {
+        if let Notice::Comparing { .. } = notice {
             let spinner = self.context.spinner();
-            spinner.set_message(format!("comparing {directions} light directions"));
+            spinner.set_message(notice.to_string());
             self.spinner = Some(spinner);
             return;
         }
-        let (fact, remedy) = described(&notice);
-        let text = match remedy {
-            Some(remedy) => format!("{fact}; {remedy}"),
-            None => fact,
+        let text = match remedy(&notice) {
+            Some(remedy) => format!("{notice}; {remedy}"),
+            None => notice.to_string(),
         };
         if let Some(lines) = self.lines {
             lines.warn(&text);
@@ -59,47 +56,29 @@ impl<'a> Terminal<'a> {
     }
 }
 
-/// A remark, and what to do about it.
-pub(super) fn described(notice: &Notice<'_>) -> (String, Option<String>) {
+/// What to do about it.
+fn remedy(notice: &Notice<'_>) -> Option<String> {
     match notice {
-        Notice::Comparing { directions } => (format!("comparing {directions} directions"), None),
-        Notice::Record { kind, concern } => {
-            let otherwise = match concern {
-                Concern::Changed { .. } => CHANGED_ON_PURPOSE,
-                _ => "",
-            };
-            let remedy = format!("run `rig calibrate {}`{otherwise}", kind.command());
-            (format!("{}: {concern}", kind.folder()), Some(remedy))
+        Notice::Comparing { .. } | Notice::File(_) | Notice::View(_) => None,
+        Notice::Record { kind, concern } => Some(for_record(*kind, concern)),
+        Notice::Temperature(_) => {
+            Some("let the camera warm up as it had then, or calibrate anew".to_owned())
         }
-        Notice::Temperature(concern) => {
-            let remedy = "let the camera warm up as it had then, or calibrate anew";
-            (concern.to_string(), Some(remedy.to_owned()))
-        }
-        Notice::WarmUp { needed_s, stated_s } => (
-            format!(
-                "lamp: it takes {needed_s:.0} s to warm up, and capture.lamp_warm_up_s is {stated_s:.0}"
-            ),
-            Some(format!("set it to {:.0}", needed_s.ceil())),
-        ),
-        Notice::File(remark) => (remark.to_string(), None),
-        Notice::View { concern, seen } => (preflight::fact(concern, seen), None),
-        Notice::Blur { blur, limit_px } => (
-            sharpness::concern(blur, *limit_px),
-            Some(sharpness::REMEDY.to_owned()),
-        ),
+        Notice::WarmUp { needed_s, .. } => Some(for_warm_up(*needed_s)),
+        Notice::Blur { .. } => Some(FOR_BLUR.to_owned()),
     }
 }
 
-/// The error with the advice that needs the rig file.
-pub(super) fn advised(error: PrepareError, rig: &RigConfig) -> CliError {
-    let keys = Keys::rig(rig);
-    match &error {
-        PrepareError::View { concern, seen } => CliError::new(preflight::fact(concern, seen))
-            .hint(preflight::remedy(concern, seen, keys)),
-        PrepareError::Unlit { concern, seen, .. } => {
-            let remedy = preflight::remedy(concern, seen, keys);
-            CliError::from(error).hint(remedy)
-        }
-        _ => error.into(),
-    }
+/// What to do about a record that should be measured anew.
+pub(super) fn for_record(kind: Kind, concern: &Concern) -> String {
+    let otherwise = match concern {
+        Concern::Changed { .. } => CHANGED_ON_PURPOSE,
+        _ => "",
+    };
+    format!("run `rig calibrate {}`{otherwise}", kind.command())
+}
+
+/// What to do about a lamp that takes longer to warm up than the rig file waits.
+pub(super) fn for_warm_up(needed_s: f64) -> String {
+    format!("set it to {:.0}", needed_s.ceil())
 }

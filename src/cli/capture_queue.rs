@@ -5,32 +5,34 @@ use std::path::Path;
 
 use serde_json::json;
 
-use super::capture_notices::{Terminal, advised};
+use super::capture_notices::Terminal;
 use super::capture_run;
 use super::context::Context;
 use super::error::CliError;
 use super::output::{write_json, write_stderr};
 use super::progress::duration;
 use super::table::{Table, size};
-use super::{catalogue, fit, interrupt, open};
+use super::{fit, interrupt, open};
 use crate::capture::Outcome;
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
 use crate::config::ResolvedRig;
 use crate::interrupt::{Interrupt, Signal};
-use crate::queue::{Entry, Queue, RunState, Sample, Step, Unreadable};
+use crate::queue::{
+    Answer, Entry, Fitted, Question, Queue, RunState, Sample, Unreadable, Worker, carry_out,
+};
 use crate::shown::{escaped, with_causes};
 
 /// Advice on everything that ends a queue before its end.
 const GO_ON: &str = "the same command goes on with the queue";
+/// Where a capture was interrupted.
+const GO_ON_WITH_IT: &str = "the same command goes on with this capture";
 
 /// What `rig capture --queue` was asked for.
 pub(super) struct QueueRequest<'a> {
-    /// Which bench.
     pub(super) rig: &'a ResolvedRig,
     /// The list of samples.
     pub(super) file: &'a Path,
-    /// The folder of the sessions.
     pub(super) folder: &'a Path,
     /// Lights of samples that name none.
     pub(super) lights: Option<Lights>,
@@ -40,15 +42,6 @@ pub(super) struct QueueRequest<'a> {
     pub(super) fits: bool,
     /// Whether the table at the end is JSON.
     pub(super) json: bool,
-}
-
-/// What the operator answers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Answer {
-    Go,
-    Repeat,
-    LeaveOut,
-    Quit,
 }
 
 /// Carries out the queue.
@@ -73,17 +66,7 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
         interrupt,
         context,
     };
-    loop {
-        let goes_on = match queue.step() {
-            Step::Resume { sample, session } => work.resume(&mut queue, &sample, &session)?,
-            Step::Fit { session } => work.fit(&mut queue, &session)?,
-            Step::Capture { sample, run, of } => work.next(&mut queue, &sample, run, of)?,
-            Step::End => work.end(&mut queue)?,
-        };
-        if !goes_on {
-            break;
-        }
-    }
+    carry_out(&mut queue, &work)?;
     print(request, &queue)?;
     match queue.left() {
         0 => {}
@@ -174,7 +157,7 @@ fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result
     let mut terminal = Terminal::new(context, None);
     let prepared = prepare(request.rig, &asked, &mut |notice| terminal.show(notice));
     terminal.finish();
-    let prepared = prepared.map_err(|error| advised(error, &request.rig.config))?;
+    let prepared = prepared?;
     prepared.check_space()?;
     let planned = prepared.plan();
     Ok(Plan {
@@ -185,7 +168,7 @@ fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result
     })
 }
 
-/// What every step needs. Each returns whether the queue goes on.
+/// What every step needs.
 struct Work<'a> {
     request: &'a QueueRequest<'a>,
     plans: Vec<Plan>,
@@ -193,76 +176,49 @@ struct Work<'a> {
     context: &'a Context,
 }
 
-impl Work<'_> {
-    /// Asks for a sample and captures it.
-    fn next(
-        &self,
-        queue: &mut Queue,
-        sample: &Sample,
-        run: usize,
-        of: usize,
-    ) -> Result<bool, CliError> {
-        let name = &sample.name;
-        let mut put = format!("Put the sample {name} on the bench");
-        if run > 1 {
-            put = format!("Take the sample {name} off the bench and put it back");
+/// A question in words, and whether it can be answered by repeating the last sample.
+fn words(question: Question<'_>) -> (String, bool) {
+    let (sample, run, of, can_repeat) = match question {
+        Question::Resume { sample } => {
+            let text = format!(
+                "The capture of {sample} was interrupted. Put the sample on the bench as it was, then Enter; s leaves the session as it is, q ends"
+            );
+            return (text, false);
         }
-        if of > 1 {
-            put += &format!(" ({run} of {of})");
+        Question::Done { last } => {
+            let text = format!("All samples are done; Enter ends, r repeats the last one ({last})");
+            return (text, true);
         }
-        let notes = [&sample.material, &sample.comment];
-        let notes: Vec<_> = notes.into_iter().flatten().map(String::as_str).collect();
-        if !notes.is_empty() {
-            put += &format!(" [{}]", notes.join("; "));
-        }
-        let repeats = match queue.last() {
-            Some(_) => " r repeats the last one,",
-            None => "",
-        };
-        let question = format!("{put}, then Enter;{repeats} s leaves this one out, q ends");
-        match self.ask(&question, !repeats.is_empty())? {
-            Answer::Quit => return Ok(false),
-            Answer::LeaveOut => queue.leave_out(name)?,
-            Answer::Repeat => drop(queue.again()?),
-            Answer::Go => {
-                queue.next(name)?;
-                let job = self.begin(sample)?;
-                let session = name_of(job.root());
-                queue.begun(name, &session)?;
-                self.capture(queue, job, &session)?;
-            }
-        }
-        Ok(true)
+        Question::Put {
+            sample,
+            run,
+            of,
+            can_repeat,
+        } => (sample, run, of, can_repeat),
+    };
+    let name = &sample.name;
+    let mut put = format!("Put the sample {name} on the bench");
+    if run > 1 {
+        put = format!("Take the sample {name} off the bench and put it back");
     }
+    if of > 1 {
+        put += &format!(" ({run} of {of})");
+    }
+    let notes = [&sample.material, &sample.comment];
+    let notes: Vec<_> = notes.into_iter().flatten().map(String::as_str).collect();
+    if !notes.is_empty() {
+        put += &format!(" [{}]", notes.join("; "));
+    }
+    let repeats = match can_repeat {
+        true => " r repeats the last one,",
+        false => "",
+    };
+    let text = format!("{put}, then Enter;{repeats} s leaves this one out, q ends");
+    (text, can_repeat)
+}
 
-    /// Goes on with an interrupted capture, if the operator wants to.
-    fn resume(&self, queue: &mut Queue, sample: &str, root: &Path) -> Result<bool, CliError> {
-        let question = format!(
-            "The capture of {sample} was interrupted. Put the sample on the bench as it was, then Enter; s leaves the session as it is, q ends"
-        );
-        let session = name_of(root);
-        match self.ask(&question, false)? {
-            Answer::Quit => return Ok(false),
-            Answer::LeaveOut => queue.abandon(&session)?,
-            Answer::Go | Answer::Repeat => {
-                let job = capture_run::resume(root, self.context, None)?;
-                self.capture(queue, job, &session)?;
-            }
-        }
-        Ok(true)
-    }
-
-    /// When all is done, the last sample can still be repeated.
-    fn end(&self, queue: &mut Queue) -> Result<bool, CliError> {
-        let Some(last) = queue.last() else {
-            return Ok(false);
-        };
-        let question = format!("All samples are done; Enter ends, r repeats the last one ({last})");
-        match self.ask(&question, true)? {
-            Answer::Repeat => Ok(queue.again()?.is_some()),
-            _ => Ok(false),
-        }
-    }
+impl Worker for Work<'_> {
+    type Error = CliError;
 
     fn begin(&self, sample: &Sample) -> Result<Job, CliError> {
         let config = &self.request.rig.config;
@@ -277,39 +233,32 @@ impl Work<'_> {
         };
         // What is to be noticed was shown when the queue was checked.
         let prepared = prepare(self.request.rig, &asked, &mut |_| ());
-        let prepared = prepared.map_err(|error| advised(error, config))?;
+        let prepared = prepared?;
         prepared.check_space()?;
         let devices = open_devices(config, &open::options(config)?)?;
         Ok(prepared.begin(devices, &mut |_| ())?)
     }
 
-    /// Captures, then fits.
-    fn capture(&self, queue: &mut Queue, job: Job, session: &str) -> Result<(), CliError> {
-        let root = job.root().to_owned();
+    fn resume(&self, root: &Path) -> Result<Job, CliError> {
+        capture_run::resume(root, self.context, None)
+    }
+
+    fn capture(&self, job: Job) -> Result<(), CliError> {
         let ran = capture_run::run(job, self.interrupt.clone(), self.context, None);
         match ran.ended {
-            Ok(Outcome::Complete) => {}
+            Ok(Outcome::Complete) => Ok(()),
             Ok(Outcome::Interrupted) => {
                 let signal = self.interrupt.signal().unwrap_or(Signal::Interrupt);
                 let fact = "the queue was interrupted during a capture; the lamp is off";
-                return Err(CliError::interrupted(signal, fact)
-                    .hint("the same command goes on with this capture"));
+                Err(CliError::interrupted(signal, fact).hint(GO_ON_WITH_IT))
             }
-            Err(error) => {
-                let go_on = "the same command goes on with this capture";
-                return Err(capture_run::suspended(error, go_on));
-            }
+            Err(error) => Err(capture_run::suspended(error, GO_ON_WITH_IT)),
         }
-        queue.captured(session)?;
-        self.fit(queue, &root).map(drop)
     }
 
-    /// A fit that fails holds up no queue.
-    fn fit(&self, queue: &mut Queue, root: &Path) -> Result<bool, CliError> {
-        let session = name_of(root);
+    fn fit(&self, root: &Path) -> Result<Fitted, CliError> {
         if !self.request.fits {
-            queue.done(&session, None, None)?;
-            return Ok(true);
+            return Ok(Fitted::Verdict(None));
         }
         let interrupted = |signal| {
             CliError::interrupted(signal, "the fit was interrupted; the capture is complete")
@@ -318,25 +267,26 @@ impl Work<'_> {
         let ending = interrupt::ending_on_signal(self.context, &self.interrupt, interrupted)?;
         let fitted = fit::fit_and_report(root, self.context, None);
         drop(ending);
-        match fitted {
-            Ok(verdict) => queue.done(&session, Some(verdict), None)?,
+        Ok(match fitted {
+            Ok(verdict) => Fitted::Verdict(Some(verdict)),
             Err(error) => {
                 let fact = error.fact().to_owned();
+                let session = root.file_name().unwrap_or_default().to_string_lossy();
                 self.context
                     .warn(format!("{session} was not fitted: {fact}"));
-                queue.done(&session, None, Some(fact))?;
+                Fitted::Failed(fact)
             }
-        }
-        Ok(true)
+        })
     }
 
     /// Asks until there is an answer; the end of the input is `q`.
-    fn ask(&self, question: &str, repeats: bool) -> Result<Answer, CliError> {
+    fn ask(&self, question: Question<'_>) -> Result<Answer, CliError> {
+        let (question, repeats) = words(question);
         let interrupted =
             |signal| CliError::interrupted(signal, "the queue was interrupted").hint(GO_ON);
         let _ending = interrupt::ending_on_signal(self.context, &self.interrupt, interrupted)?;
         loop {
-            write_stderr(&format!("\n{} ", escaped(question)));
+            write_stderr(&format!("\n{} ", escaped(&question)));
             let mut line = Vec::new();
             let read = std::io::stdin().lock().read_until(b'\n', &mut line);
             if !read.is_ok_and(|bytes| bytes > 0) {
@@ -356,19 +306,10 @@ impl Work<'_> {
                 "r" if repeats => return Ok(Answer::Repeat),
                 "s" => return Ok(Answer::LeaveOut),
                 "q" => return Ok(Answer::Quit),
-                _ => self.tell("that is none of the answers"),
+                _ => write_stderr("that is none of the answers\n"),
             }
         }
     }
-
-    fn tell(&self, text: &str) {
-        write_stderr(&format!("{text}\n"));
-    }
-}
-
-fn name_of(root: &Path) -> String {
-    let name = root.file_name().unwrap_or_default();
-    name.to_string_lossy().into_owned()
 }
 
 /// What became of every sample, on stdout.
@@ -440,6 +381,6 @@ fn state(state: &RunState) -> String {
         RunState::Done {
             verdict: Some(verdict),
             ..
-        } => catalogue::word(*verdict).to_owned(),
+        } => verdict.word().to_owned(),
     }
 }

@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::time::Instant;
 
-use super::capture_events::EventLines;
 use super::capture_progress::Bar;
 use super::context::Context;
 use super::error::CliError;
 use super::{interrupt, open};
+use crate::capture::event_lines::EventLines;
 use crate::capture::open::{OpenOptions, open_devices};
 use crate::capture::prepare::{self, Job};
 use crate::capture::{CaptureError, Outcome, Spent};
@@ -47,7 +47,6 @@ fn warn(context: &Context, lines: Option<&EventLines>, text: &str) {
 
 /// What came of a capture.
 pub(super) struct Ran {
-    /// How it ended.
     pub(super) ended: Result<Outcome, CaptureError>,
     /// How long it took, seconds.
     pub(super) elapsed_s: f64,

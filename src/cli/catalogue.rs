@@ -12,7 +12,7 @@ use super::table::{Table, percent, size};
 use crate::catalogue::repeats::{LeftOut, Repeats};
 use crate::catalogue::reproducibility::{Reproducibility, ReproducibilityError};
 use crate::catalogue::{Catalogue, FitRow, Row};
-use crate::fault::{Advisor, Fault};
+use crate::fault::Advisor;
 use crate::out;
 use crate::result_table;
 use crate::session::fit_record::Verdict;
@@ -65,7 +65,10 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
         return write_json(&rows);
     }
     if args.csv {
-        let rows = rows.iter().map(|row| csv_row(row)).collect();
+        let rows = rows
+            .iter()
+            .map(|row| result_table::of_session(row))
+            .collect();
         return write_bytes(result_table::Table { rows }.to_csv().as_bytes());
     }
     if rows.is_empty() {
@@ -91,44 +94,6 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
         out!("{}  cannot be read: {}", row.name, shortened(fault, LINE))?;
     }
     Ok(())
-}
-
-/// A session's row in a file; the figures are those of its latest fit.
-fn csv_row(row: &Row) -> result_table::Row {
-    let text = |text: &Option<String>| text.clone().unwrap_or_default();
-    let yes = |is| if is { "yes" } else { "no" };
-    let fit = row.latest();
-    let fault = |fault: &Option<Fault>| fault.as_ref().map(|fault| fault.error.clone());
-    let fit_fault = fit.and_then(|fit| fault(&fit.error));
-    result_table::Row::new()
-        .with("session", row.name.as_str())
-        .with("sample", text(&row.sample))
-        .with("material", text(&row.material))
-        .with("true_material", text(&row.true_material))
-        .with("comment", text(&row.comment))
-        .with("began_utc", text(&row.began))
-        .with("lights", row.lights)
-        .with("lights_finished", row.lights_finished)
-        .with("frames", row.frames)
-        .with("bytes", row.bytes)
-        .with("complete", yes(row.complete))
-        .with("simulated", yes(row.simulated))
-        .with("suspect", yes(row.suspect))
-        .with("fit", fit.map_or("", |fit| &fit.name))
-        .with(
-            "dictionary",
-            fit.map_or(String::new(), |fit| text(&fit.dictionary)),
-        )
-        .with(
-            "verdict",
-            fit.and_then(|fit| fit.verdict).map_or("", Verdict::name),
-        )
-        .with("worst_chi2", fit.and_then(|fit| fit.chi2))
-        .with(
-            "environment_error",
-            fit.and_then(|fit| fit.environment_error),
-        )
-        .with("error", fault(&row.error).or(fit_fault).unwrap_or_default())
 }
 
 /// A session's line; the figures are those of its latest fit.
@@ -169,16 +134,7 @@ fn verdict(fit: Option<&FitRow>) -> &'static str {
     match fit {
         None => "no fit",
         Some(FitRow { error: Some(_), .. }) => "unreadable",
-        Some(fit) => fit.verdict.map_or("", word),
-    }
-}
-
-/// A word for a verdict.
-pub(super) fn word(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Explains => "explains",
-        Verdict::Reservations => "reservations",
-        Verdict::NotToBeTrusted => "not trusted",
+        Some(fit) => fit.verdict.map_or("", Verdict::word),
     }
 }
 

@@ -1,18 +1,17 @@
 //! `rig evaluate`: experiments against a known truth.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::{SlurmArgs, program};
 use super::{CliError, Context, light_choice, output};
-use crate::cells::DEFAULT_CELLS;
-use crate::cluster::{JobArray, MOST_TASKS, Resources, Shard};
+use crate::cluster::{MOST_TASKS, Shard};
 use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
+use crate::job_array::ArrayRequest;
 use crate::out;
 use crate::shell_words;
-use crate::workflow::FitWork;
 
 /// Runs an experiment against a known truth: a table (CSV, JSON) and figures (SVG, PNG).
 #[derive(clap::Args, Debug)]
@@ -125,14 +124,18 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     let lab = Lab::new(settings, overrides.portable)?;
     if let Some(tasks) = args.slurm {
         let cases = (experiment.cases)(&lab)?.len();
-        return print_job_array(
+        let request = ArrayRequest {
             name,
             folder,
-            usize::from(tasks),
+            tasks: usize::from(tasks),
             cases,
-            &lab.settings,
-            &args.task,
-        );
+            cpus: args.task.cpus(),
+            memory_mib: args.task.memory_mib(),
+            minutes: args.task.minutes(),
+        };
+        let command = shell_words::command_line(&program()?, &words_without_slurm());
+        let script = request.script(&command, &lab.settings)??;
+        return output::write_bytes(script.as_bytes());
     }
     // Finished cases are on disk already: the run may end at any moment.
     let shown = folder.display().to_string();
@@ -185,50 +188,6 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         return output::write_json(&outcome.json);
     }
     output::write_path(folder)
-}
-
-/// Prints the script that submits this very command in shards.
-fn print_job_array(
-    name: &str,
-    folder: &Path,
-    tasks: usize,
-    cases: usize,
-    settings: &Settings,
-    task: &SlurmArgs,
-) -> Result<(), CliError> {
-    let tasks = tasks.min(cases).max(1);
-    let command = shell_words::command_line(&program()?, &words_without_slurm());
-    let logs = format!("{}.slurm", folder.display());
-    let shows = format!("rig evaluate {name}: {cases} cases as {tasks} tasks");
-    let here = std::env::current_dir()?;
-    let array = JobArray {
-        name: &format!("rig-{name}"),
-        shows: &shows,
-        tasks,
-        resources: Resources {
-            cpus: task.cpus().unwrap_or(1),
-            memory_mib: task.memory_mib().unwrap_or_else(|| memory_mib(settings)),
-            minutes: task.minutes(),
-        },
-        folder: &here,
-        logs: Path::new(&logs),
-        task: &format!("{command} --shard \"$SLURM_ARRAY_TASK_ID\"/{tasks}"),
-        afterwards: &command,
-    };
-    output::write_bytes(array.script()?.as_bytes())
-}
-
-/// Memory of a task, MiB: the fit of a case and as much for its images, for each processor.
-fn memory_mib(settings: &Settings) -> u64 {
-    let pixels = settings.resolution_px * settings.resolution_px;
-    let work = FitWork {
-        cells: pixels.min(DEFAULT_CELLS),
-        lights: settings.lights.max(1),
-        paths_per_cell: settings.samples_per_pixel,
-        refines_bench: true,
-    };
-    let bytes = work.expected_bytes() + (pixels * settings.lights.max(1) * 100) as f64;
-    (bytes / f64::from(1 << 20)).ceil() as u64 + 512
 }
 
 /// The arguments of this process but those that are about Slurm.

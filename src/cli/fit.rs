@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use super::capture_events::EventLines;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
 use crate::capture::Progress;
+use crate::capture::event_lines::EventLines;
 use crate::session::SessionError;
 use crate::session::fit_record::Verdict;
 use crate::workflow::{
@@ -70,7 +70,7 @@ fn reported<T>(
 ) -> Result<T, CliError> {
     fit().inspect_err(|error| {
         if let Some(lines) = lines {
-            lines.fit_failed(error);
+            lines.fit_failed(error.fact().to_owned(), error.advice().map(str::to_owned));
         }
     })
 }

@@ -3,9 +3,9 @@
 use std::sync::{Mutex, PoisonError};
 
 use super::Context;
-use super::capture_events::EventLines;
 use super::progress::StagedBar;
 use crate::capture;
+use crate::capture::event_lines::EventLines;
 use crate::progress::Progress;
 use crate::session::fit_record::{FitRecord, Warning};
 use crate::workflow::{Notice, Observer};

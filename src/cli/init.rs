@@ -10,8 +10,7 @@ use super::error::{CliError, HintExt};
 use super::output::{unwritable, write_json, write_path, write_stderr};
 use crate::config::RIG_FILE;
 use crate::config::draft::{
-    AnswerError, Answers, DraftError, Found, Kind, Question, Step, Written, check_so_far,
-    questions, write,
+    Answers, DraftError, Found, Interviewee, Question, Step, interview, questions, write,
 };
 use crate::shown::escaped;
 use crate::{outside_file, whole_file};
@@ -67,7 +66,14 @@ pub fn run(args: &InitArgs, context: &Context) -> Result<(), CliError> {
             let answers = read_answers(file)?;
             write(&questions, &found, &answers, &args.out).map_err(advised)?
         }
-        None => Session::new(context)?.ask(&questions, &found, &args.out)?,
+        None => {
+            let terminal = Terminal::new()?;
+            context.note(format_args!(
+                "This makes {}. Enter takes the answer in brackets, Ctrl-C ends without a file.",
+                args.out.display()
+            ));
+            interview(&questions, &found, &args.out, &terminal)?
+        }
     };
     whole_file::create(&args.out, written.text.as_bytes())
         .map_err(|error| not_created(&args.out, &error))?;
@@ -140,99 +146,45 @@ fn advised(error: DraftError) -> CliError {
     }
 }
 
-/// The questions at the terminal.
-struct Session<'a> {
-    context: &'a Context,
-}
+/// The operator at the terminal.
+struct Terminal;
 
-impl<'a> Session<'a> {
-    fn new(context: &'a Context) -> Result<Self, CliError> {
+impl Terminal {
+    fn new() -> Result<Self, CliError> {
         if stdin().is_terminal() && std::io::stderr().is_terminal() {
-            return Ok(Self { context });
+            return Ok(Self);
         }
         Err(
             CliError::new("the questions need a terminal, and stdin or stderr is none")
                 .hint("run it in a terminal, or give a file of answers with --answers"),
         )
     }
-
-    /// Asks until the answers make a rig file.
-    fn ask(&self, questions: &[Question], found: &Found, file: &Path) -> Result<Written, CliError> {
-        self.context.note(format_args!(
-            "This makes {}. Enter takes the answer in brackets, Ctrl-C ends without a file.",
-            file.display()
-        ));
-        let mut answers = Answers::default();
-        loop {
-            for question in questions {
-                if question.applies(&answers) && answers.get(question.key).is_none() {
-                    self.ask_one(question, questions, &mut answers)?;
-                }
-            }
-            match write(questions, found, &answers, file) {
-                Ok(written) => return Ok(written),
-                Err(DraftError::Answer(error)) => {
-                    write_stderr(&format!("  {}\n", escaped(&error.to_string())));
-                    answers.remove(error.key());
-                }
-                // An address that its driver does not take.
-                Err(DraftError::Config(error)) => {
-                    write_stderr(&format!("  {}\n", escaped(&error.to_string())));
-                    for key in ["camera", "camera_address"] {
-                        answers.remove(key);
-                    }
-                }
-            }
-        }
-    }
-
-    /// Asks one question until its answer is valid, alone and with those before it.
-    fn ask_one(
-        &self,
-        question: &Question,
-        questions: &[Question],
-        answers: &mut Answers,
-    ) -> Result<(), CliError> {
-        write_stderr(&shown(question));
-        loop {
-            write_stderr(&prompt(question));
-            let mut line = Vec::new();
-            let read = stdin().lock().read_until(b'\n', &mut line);
-            if !read.is_ok_and(|bytes| bytes > 0) {
-                return Err(CliError::new("the input ended before all questions were answered")
-                    .hint("nothing was written; run it again and answer each, Enter takes the default"));
-            }
-            // Bytes of another encoding are no reason to lose the answers before.
-            let line = String::from_utf8_lossy(&line);
-            let given = match (line.trim(), &question.default) {
-                ("", Some(default)) => Ok(default.clone()),
-                (text, _) => question.typed(text),
-            };
-            let kept = given.and_then(|answer| {
-                answers.set(question.key, answer);
-                check_so_far(questions, answers)
-            });
-            match kept {
-                Ok(()) => return Ok(()),
-                Err(error) => {
-                    write_stderr(&format!("  {}\n", escaped(&fault(&error))));
-                    answers.remove(question.key);
-                }
-            }
-        }
-    }
 }
 
-/// What is wrong with an answer, at the terminal, where the question stands above.
-fn fault(error: &AnswerError) -> String {
-    match error {
-        AnswerError::Invalid { value, allowed, .. } if value.is_empty() => {
-            format!("an answer is needed: {allowed}")
+impl Interviewee for Terminal {
+    type Error = CliError;
+
+    fn show(&self, question: &Question) {
+        write_stderr(&shown(question));
+    }
+
+    fn answer(&self, question: &Question) -> Result<String, CliError> {
+        write_stderr(&format!("  {} ", escaped(&question.prompt())));
+        let mut line = Vec::new();
+        let read = stdin().lock().read_until(b'\n', &mut line);
+        if !read.is_ok_and(|bytes| bytes > 0) {
+            return Err(
+                CliError::new("the input ended before all questions were answered").hint(
+                    "nothing was written; run it again and answer each, Enter takes the default",
+                ),
+            );
         }
-        AnswerError::Invalid { value, allowed, .. } => {
-            format!("{value} is not possible: it must be {allowed}")
-        }
-        other => other.to_string(),
+        // Bytes of another encoding are no reason to lose the answers before.
+        Ok(String::from_utf8_lossy(&line).into_owned())
+    }
+
+    fn refuse(&self, fault: &str) {
+        write_stderr(&format!("  {}\n", escaped(fault)));
     }
 }
 
@@ -243,27 +195,4 @@ fn shown(question: &Question) -> String {
         text += &format!("  {:>2}  {}\n", i + 1, escaped(&choice.label));
     }
     text
-}
-
-fn prompt(question: &Question) -> String {
-    let default = question
-        .default
-        .as_ref()
-        .map(|default| match question.kind {
-            Kind::Choice => {
-                let listed = question.choices.iter();
-                let number = listed
-                    .enumerate()
-                    .find(|(_, choice)| default.text() == Some(choice.value.as_str()));
-                number.map_or(default.to_string(), |(i, _)| (i + 1).to_string())
-            }
-            _ => default.to_string(),
-        });
-    let unit = question
-        .unit
-        .map_or(String::new(), |unit| format!(" {unit}"));
-    match default {
-        Some(default) => format!("  [{}{unit}] ", escaped(&default)),
-        None => format!("  ({}) ", question.unit.unwrap_or("needed")),
-    }
 }

@@ -5,10 +5,8 @@
 //! Only commands that hold hardware or a session listen; every other command
 //! keeps the system's default and ends at once.
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
-use std::thread::JoinHandle;
-use std::time::Duration;
 
 use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use signal_hook::flag::register_usize;
@@ -19,7 +17,7 @@ use super::context::Context;
 use super::error::CliError;
 use super::output::write_stderr;
 use super::stderr;
-use crate::interrupt::{Interrupt, Signal, StopLevel};
+use crate::interrupt::{Interrupt, Signal, StopLevel, Watching};
 
 /// Starts to listen; from now on the command must poll what this returns.
 pub fn listen() -> Result<Interrupt, CliError> {
@@ -94,7 +92,7 @@ pub fn ending_on_signal(
     error: impl Fn(Signal) -> CliError + Send + 'static,
 ) -> Result<Watching, CliError> {
     let color = context.color;
-    watching(interrupt, move |interrupt| {
+    Ok(interrupt.watch(move |interrupt| {
         if let Some(signal) = interrupt.signal() {
             let error = error(signal);
             write_stderr(&error.render(color));
@@ -104,7 +102,7 @@ pub fn ending_on_signal(
         if interrupt.take_pause() {
             suspend();
         }
-    })
+    })?)
 }
 
 /// Says at once that work which obeys between frames was asked to stop or to pause, until what
@@ -112,11 +110,11 @@ pub fn ending_on_signal(
 pub fn announcing(context: &Context, interrupt: &Interrupt) -> Result<Watching, CliError> {
     let context = context.clone();
     let mut said = Said::default();
-    watching(interrupt, move |interrupt| {
+    Ok(interrupt.watch(move |interrupt| {
         if let Some(text) = said.next(interrupt) {
             context.note(text);
         }
-    })
+    })?)
 }
 
 /// What was said of the requests.
@@ -139,52 +137,9 @@ impl Said {
     }
 }
 
-/// Has a thread look at the requests every [`LOOK`], until what is returned is dropped.
-fn watching(
-    interrupt: &Interrupt,
-    mut look: impl FnMut(&Interrupt) + Send + 'static,
-) -> Result<Watching, CliError> {
-    let interrupt = interrupt.clone();
-    let over = Arc::new(AtomicBool::new(false));
-    let is_over = Arc::clone(&over);
-    let thread = std::thread::Builder::new()
-        .name("watching signals".into())
-        .spawn(move || {
-            while !is_over.load(Ordering::SeqCst) {
-                look(&interrupt);
-                std::thread::sleep(LOOK);
-            }
-        })?;
-    Ok(Watching {
-        over,
-        thread: Some(thread),
-    })
-}
-
-/// As long as it lives, signals are looked at.
-#[must_use]
-pub struct Watching {
-    over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Drop for Watching {
-    /// Afterwards nobody looks any more.
-    fn drop(&mut self) {
-        self.over.store(true, Ordering::SeqCst);
-        if let Some(thread) = self.thread.take() {
-            // It does not panic; if it did, nothing would depend on it either.
-            drop(thread.join());
-        }
-    }
-}
-
-/// How often requests are looked at.
-const LOOK: Duration = Duration::from_millis(20);
-
 #[cfg(test)]
 mod tests {
-    use std::time::Instant;
+    use std::time::{Duration, Instant};
 
     use super::*;
 

@@ -20,19 +20,12 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
     let found = light_choice::next(&session, SHOWN, &mut |notice| terminal.show(notice))?;
     terminal.finish();
     if json {
-        let lights = found.next.iter().map(|ranked| {
-            serde_json::json!({
-                "azimuth_deg": ranked.light.azimuth_deg,
-                "elevation_deg": ranked.light.elevation_deg,
-                "expected_variance_left": ranked.remaining,
-            })
-        });
         return write_json(&serde_json::json!({
             "session": root,
             "fit": found.fit,
             "lights_taken": found.taken,
             "expected_variance_left": found.remaining,
-            "next": lights.collect::<Vec<_>>(),
+            "next": found.next,
         }));
     }
     out!(

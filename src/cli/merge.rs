@@ -2,22 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::merge_sensor::SensorArgs;
-use super::merge_warnings::{Counts, shown_s, warn_agreement, warn_filters};
+use super::merge_warnings::{warn_agreement, warn_filters};
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, bracket_files};
 use crate::calibration::record::ResponseValues;
 use crate::calibration::record_in;
-use crate::radiometry::adopted_exposures::UsedExposure;
-use crate::radiometry::agreement::ExposureAgreement;
+use crate::radiometry::bracket_doubts::Counts;
 use crate::radiometry::bracket_files::read_frame;
 use crate::radiometry::bracket_merge::{
     self, BracketMergeError, CountModel, MergeRequest, Merged, check_linear, check_mosaic,
 };
-use crate::radiometry::filter_order::FilterDoubt;
 use crate::radiometry::frame_file::Tone;
 use crate::radiometry::mosaic::Mosaic;
 use crate::radiometry::response::Response;
@@ -103,10 +101,10 @@ pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
         ));
     }
     for used in &merged.exposures {
-        note_used(used, context);
+        context.note(used);
     }
     match args.json {
-        true => write_json(&MergeReport::new(&args.out, merged)),
+        true => write_json(&report(&args.out, &merged)),
         false => write_path(&args.out),
     }
 }
@@ -127,7 +125,7 @@ fn merge_each(
         warn_merged(&merged, args, context);
         masked += usize::from(merged.masked_pixels > 0);
         match args.json {
-            true => reports.push(MergeReport::new(&image.out, merged)),
+            true => reports.push(report(&image.out, &merged)),
             false => write_path(&image.out)?,
         }
     }
@@ -180,24 +178,6 @@ fn warn_merged(merged: &Merged, args: &MergeArgs, context: &Context) {
     warn_agreement(&merged.agreement, counts, context);
 }
 
-fn note_used(used: &UsedExposure, context: &Context) {
-    let stated_s = shown_s(used.stated_s);
-    match used.relative_std {
-        Some(0.0) => context.note(format_args!(
-            "the exposure of {stated_s} s is used as stated, the others against it"
-        )),
-        Some(std) => context.note(format_args!(
-            "the exposure of {stated_s} s is used as {} s ± {:.2}%, as its light shows",
-            shown_s(used.used_s),
-            100.0 * std
-        )),
-        None => context.note(format_args!(
-            "the exposure of {stated_s} s is used as stated: no pixel of it is measured by a \
-             shorter one as well"
-        )),
-    }
-}
-
 /// What to do about a bracket that cannot be merged.
 fn advised(error: BracketMergeError) -> CliError {
     use BracketMergeError::*;
@@ -223,32 +203,18 @@ const RESPONSE_HINT: &str = "find the camera's response with `rig calibrate resp
     the record with --response";
 const BRACKET_HINT: &str = "mark at least one frame as light in the table (the default)";
 
-#[derive(Serialize)]
-struct MergeReport {
-    image: String,
-    width: usize,
-    height: usize,
-    masked_pixels: usize,
-    /// How the exposures agree, per channel of the frames or colour of the mosaic, shortest
-    /// first.
-    channels: Vec<Vec<ExposureAgreement>>,
-    /// The exposures in use, where measured ones were asked for.
-    measured_exposures: Vec<UsedExposure>,
-    /// What speaks against the order of colour filters.
-    filter_doubt: Option<FilterDoubt>,
-}
-
-impl MergeReport {
-    fn new(image: &Path, merged: Merged) -> Self {
-        let [width, height] = merged.size;
-        Self {
-            image: image.display().to_string(),
-            width,
-            height,
-            masked_pixels: merged.masked_pixels,
-            channels: merged.agreement,
-            measured_exposures: merged.exposures,
-            filter_doubt: merged.filter_doubt,
-        }
-    }
+/// What `--json` prints: how the exposures agree, per channel of the frames or colour of the
+/// mosaic, shortest first; which ones are in use, where measured ones were asked for; and what
+/// speaks against the order of colour filters.
+fn report(image: &Path, merged: &Merged) -> Value {
+    let [width, height] = merged.size;
+    json!({
+        "image": image.display().to_string(),
+        "width": width,
+        "height": height,
+        "masked_pixels": merged.masked_pixels,
+        "channels": merged.agreement,
+        "measured_exposures": merged.exposures,
+        "filter_doubt": merged.filter_doubt,
+    })
 }

@@ -4,9 +4,7 @@ use std::str::FromStr;
 
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt};
-use crate::calibration::Library;
-use crate::calibration::noise::sensor_noise;
-use crate::calibration::record::{FlatValues, ScaleValues, SensorValues};
+use crate::calibration::noise::{FrameNoiseError, noise_of_frames};
 use crate::radiometry::bracket_merge::CountModel;
 use crate::radiometry::frame_file::FrameFile;
 use crate::radiometry::sensor::SensorNoise;
@@ -145,25 +143,13 @@ fn recorded_noise(
     context: &Context,
     frame: &FrameFile,
 ) -> Result<SensorNoise, CliError> {
-    let rig = rig.resolve(context)?;
-    let library = Library::of_rig(&rig);
-    let pins = &rig.config.calibration;
-    let gain = rig.config.camera.gain;
-    let sensor = library
-        .load_for::<SensorValues>(pins.sensor.as_deref(), gain)?
-        .ok_or_else(|| CliError::new(format!("there is no sensor record in {}", library.place())))
-        .hint("run `rig calibrate sensor`, or describe the sensor by options")?;
-    let flat = library.load_for::<FlatValues>(pins.flat.as_deref(), gain)?;
-    let scale = library.load_for::<ScaleValues>(pins.scale.as_deref(), gain)?;
-    let resolution_px = [frame.width as u32, frame.height as u32];
-    if resolution_px != rig.config.camera.resolution_px {
-        let [width, height] = rig.config.camera.resolution_px;
-        return Err(CliError::new(format!(
-            "the frames have {} x {} pixels, the rig's camera {width} x {height}",
-            frame.width, frame.height
-        ))
-        .hint("choose the rig that took the frames, or describe the sensor by options"));
-    }
-    let scale = scale.as_ref().map(|loaded| &loaded.record.values);
-    Ok(sensor_noise(&sensor, flat.as_ref(), scale, resolution_px)?)
+    let size = [frame.width as u32, frame.height as u32];
+    let found = noise_of_frames(&rig.resolve(context)?, size);
+    found.map_err(|error| match error {
+        FrameNoiseError::NoSensor { .. } => CliError::from(error)
+            .hint("run `rig calibrate sensor`, or describe the sensor by options"),
+        FrameNoiseError::OtherSize { .. } => CliError::from(error)
+            .hint("choose the rig that took the frames, or describe the sensor by options"),
+        error => error.into(),
+    })
 }

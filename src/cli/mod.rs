@@ -8,9 +8,9 @@
 mod as_model;
 #[cfg(feature = "reports")]
 pub mod batch;
-pub mod bench;
 #[cfg(feature = "console")]
 mod bench_ports;
+pub mod benchmark;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
@@ -19,7 +19,6 @@ mod camera_preview;
 pub mod capture;
 #[cfg(feature = "console")]
 mod capture_console;
-mod capture_events;
 mod capture_notices;
 mod capture_progress;
 mod capture_queue;
@@ -51,6 +50,7 @@ pub mod merge;
 mod merge_sensor;
 mod merge_warnings;
 mod notices;
+mod number;
 pub mod open;
 mod operator;
 pub mod output;
@@ -64,7 +64,6 @@ pub mod rig_choice;
 pub mod session;
 pub mod shape;
 mod shape_inspect;
-mod sharpness;
 #[cfg(any(feature = "reports", feature = "experiments"))]
 mod slurm_args;
 pub mod stage;
@@ -72,7 +71,6 @@ pub mod stderr;
 mod table;
 mod trace;
 pub mod validate;
-mod write_queue;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -125,7 +123,7 @@ commands! {
     #[cfg(feature = "reports")]
     Batch(batch::BatchArgs) => batch::run,
     Export(export::ExportArgs) => export::run,
-    Bench(bench::BenchArgs) => bench::run,
+    Bench(benchmark::BenchArgs) => benchmark::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
     Guardian(guardian::GuardianArgs) => guardian::run,

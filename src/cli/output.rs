@@ -12,7 +12,8 @@ use std::path::Path;
 use super::error::CliError;
 use super::hints;
 use super::stderr::{self, Worth};
-use crate::shown::{escaped, is_obeyed};
+use crate::capture::event_lines::json_line;
+use crate::shown::escaped;
 use crate::whole_file;
 
 /// Writes a line of data to stdout: `out!("{path}")?`.
@@ -83,22 +84,7 @@ pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
 /// Writes `value` as indented JSON and a line end to stdout.
 pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(value)?;
-    write_bytes(json_for_terminals(&text).as_bytes())
-}
-
-/// JSON and a line end. JSON escapes most of what a terminal obeys; the rest, which stands in
-/// texts alone, is escaped here.
-pub(super) fn json_for_terminals(text: &str) -> String {
-    let mut shown = String::with_capacity(text.len() + 1);
-    for c in text.chars() {
-        match c {
-            '\n' => shown.push(c),
-            c if is_obeyed(c) => shown += &format!("\\u{:04x}", u32::from(c)),
-            c => shown.push(c),
-        }
-    }
-    shown.push('\n');
-    shown
+    write_bytes(json_line(&text).as_bytes())
 }
 
 /// Writes text to stderr without waiting; a closed stderr is ignored.

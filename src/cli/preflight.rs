@@ -1,20 +1,12 @@
-//! What makes a scene not worth measuring, reported before anything moves or is rendered:
-//! [`Visibility`] finds the facts, here are their wording and the advice.
+//! What makes a scene not worth measuring: [`SceneConcern`] states the facts, here is the advice.
 
 use super::context::Context;
-use super::error::CliError;
-use crate::capture::directions::plan_order;
-use crate::capture::reach::StageReach;
-use crate::config::RigConfig;
 use crate::config::scene::SceneFile;
 use crate::config::view::SurfaceSpec;
 use crate::geometry::inspect::UNITS;
+use crate::transport::Scene;
 use crate::transport::visibility::{Concern, Visibility};
-use crate::transport::{CameraBody, Scene};
-use crate::workflow::{DescribedIn, Notice, Observer, SceneConcern, extent_in_image, millimetres};
-
-/// Lights within a stage's reach that stand for all of them while none is planned.
-const LIGHTS_LOOKED_AT: usize = 16;
+use crate::workflow::{DescribedIn, Notice, Observer, SceneConcern, millimetres};
 
 /// How many times the field's width a sample is long that was made for it. Another unit
 /// that brings a mesh into this range is likely its own.
@@ -31,120 +23,13 @@ pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context
     }
 }
 
-/// What a check of a rig found.
-pub(super) struct Outlook {
-    pub(super) fact: String,
-    /// What speaks against it.
-    pub(super) concern: Option<Remedied>,
-}
-
-/// What to do about a concern.
-pub(super) struct Remedied {
-    pub(super) remedy: String,
-    pub(super) is_fatal: bool,
-}
-
-/// The sample as this rig's camera sees it. No light is planned: those within reach must all
-/// fail to be a concern.
-pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
-    let reach = StageReach::of_rig(config)?;
-    let coaxial = config.geometry.coaxial();
-    let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
-    let scene = config.geometry.scene(&lights)?;
-    let seen = Visibility::of(&scene);
-    let mut concerns = seen.concerns();
-    if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
-        concerns.retain(|concern| !is_of_a_light(concern));
-    }
-    Ok(match concerns.first() {
-        Some(Concern::Unlit { .. }) => Outlook {
-            fact: format!(
-                "none of {} lights spread over the stage's reach reaches what the camera sees of the sample",
-                lights.len()
-            ),
-            concern: Some(Remedied {
-                remedy:
-                    "correct [geometry.sample_from_stage] or the limits of [stage] in the rig file"
-                        .to_owned(),
-                is_fatal: true,
-            }),
-        },
-        Some(concern) => Outlook {
-            fact: fact(concern, &seen),
-            concern: Some(Remedied {
-                remedy: remedy(concern, &seen, Keys::rig(config)),
-                is_fatal: concern.is_fatal(),
-            }),
-        },
-        None => Outlook {
-            fact: format!("the sample is in view: {}", extent_in_image(&seen)),
-            concern: scene.remarks().first().map(|remark| Remedied {
-                remedy: format!("repair the mesh where it was made: {remark}"),
-                is_fatal: false,
-            }),
-        },
-    })
-}
-
-/// What the camera's body leaves of the directions within reach.
-pub(super) fn light_paths(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
-    let free_of_concern = |fact: String| Outlook {
-        fact,
-        concern: None,
-    };
-    let Some(body) = body else {
-        let fact = "no camera body is stated: no direction counts as blocked";
-        return free_of_concern(fact.to_owned());
-    };
-    let (all, blocked) = (reach.reachable().len(), reach.blocked());
-    let body = format!(
-        "with the camera's body of {} mm radius and {} mm length",
-        body.radius_mm, body.length_mm
-    );
-    let elevations = blocked.iter().map(|angles| angles.elevation_deg);
-    let lowest_deg = elevations.fold(f64::INFINITY, f64::min);
-    if blocked.is_empty() {
-        return free_of_concern(format!(
-            "{body}, all {all} directions within reach are free"
-        ));
-    }
-    let fact = format!(
-        "{body}, {} of {all} directions within reach are blocked, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
-        blocked.len()
-    );
-    let remedied = |remedy: &str, is_fatal| {
-        let remedy = remedy.to_owned();
-        Some(Remedied { remedy, is_fatal })
-    };
-    let concern = match (blocked.len() == all, reach.is_fixed()) {
-        (true, _) => remedied(
-            "correct [geometry.camera] body, or the limits of [stage] in the rig file",
-            true,
-        ),
-        (false, true) => remedied(
-            "move the camera farther away, take a slimmer lens, or leave those lights out of the rig file",
-            false,
-        ),
-        (false, false) => None,
-    };
-    Outlook { fact, concern }
-}
-
-fn is_of_a_light(concern: &Concern) -> bool {
-    matches!(concern, Concern::Unlit { .. })
-}
-
-/// The fact, with where the sample appears.
-pub(super) fn fact(concern: &Concern, seen: &Visibility) -> String {
-    match concern {
-        Concern::Unlit { .. } => concern.to_string(),
-        _ => format!("{concern}; {}", extent_in_image(seen)),
-    }
-}
+/// What to do about a lens that blurs a part of the sample.
+pub(super) const FOR_BLUR: &str = "stop the lens down, or focus on the middle of the sample's depth \
+    and measure that with `rig calibrate focus`: fits include the blur, but it hides detail";
 
 /// How the keys of a file are called, and what it says of the sample's surface.
 #[derive(Clone, Copy)]
-pub(super) struct Keys<'a> {
+struct Keys<'a> {
     camera: &'static str,
     sample: &'static str,
     light: &'static str,
@@ -152,11 +37,6 @@ pub(super) struct Keys<'a> {
 }
 
 impl<'a> Keys<'a> {
-    /// Of a rig file, or the session made by it.
-    pub(super) fn rig(config: &'a RigConfig) -> Self {
-        Self::of(DescribedIn::Rig, &config.geometry.sample.surface)
-    }
-
     fn of(file: DescribedIn, surface: &'a SurfaceSpec) -> Self {
         match file {
             DescribedIn::Rig => Self {
@@ -195,8 +75,7 @@ pub(super) fn remedy_of(concern: &SceneConcern) -> String {
     remedy(&concern.concern, &concern.seen, keys)
 }
 
-/// What to do about it.
-pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
+fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
     let (camera, sample) = (keys.camera, keys.sample);
     let better_unit = keys.better_unit(seen.times_the_field());
     let [low, high] = seen.bounds_mm;

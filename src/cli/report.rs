@@ -133,17 +133,7 @@ fn note_of_lab(request: &CertificateRequest, context: &Context) {
     let Ok(StatedResult { config, .. }) = StatedResult::load(&request.session, request.fit) else {
         return;
     };
-    let lab = config.lab;
-    let lacking = [
-        ("organisation", lab.organisation.is_none()),
-        ("laboratory", lab.laboratory.is_none()),
-        ("operator", lab.operator.is_none()),
-        ("contact", lab.contact.is_none()),
-        ("room_temperature_c", lab.room_temperature_c.is_none()),
-        ("room_humidity_percent", lab.room_humidity_percent.is_none()),
-    ];
-    let lacking = lacking.iter().filter(|(_, lacks)| *lacks);
-    let lacking: Vec<&str> = lacking.map(|(key, _)| *key).collect();
+    let lacking = config.lab.not_stated();
     if !lacking.is_empty() {
         context.note(format!(
             "\"not stated\" in the certificate: {}; state them in [lab] of the rig file before the capture",

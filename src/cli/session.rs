@@ -10,10 +10,9 @@ use super::output::{write_json, write_line, write_path};
 use crate::out;
 use crate::session::archive;
 use crate::session::layout;
-use crate::session::verify::{Summary, verify};
+use crate::session::verify::{LightState, Summary, verify};
 use crate::session::{Session, SessionError};
 use crate::shown::excerpt;
-use crate::units::StageAngles;
 
 /// Checks sessions and lists what they hold.
 #[derive(clap::Args, Debug)]
@@ -129,48 +128,10 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
         true => archive::check(&args.session)?,
         false => verify(&args.session)?,
     };
-    let state = if found.complete {
-        "complete"
-    } else {
-        "interrupted"
-    };
     if args.json {
-        let problems: Vec<String> = found.problems.iter().map(ToString::to_string).collect();
-        let strays = found.strays.iter().map(|stray| stray.to_string_lossy());
-        write_json(&json!({
-            "session": args.session.to_string_lossy(),
-            "intact": found.is_intact(),
-            "complete": found.complete,
-            "files": found.good_files,
-            "bytes": found.good_bytes,
-            "problems": problems,
-            "strays": strays.collect::<Vec<_>>(),
-            "torn_bytes": found.torn_bytes,
-            "suspect": found.suspicion,
-            "clock_step": found.clock_step,
-        }))?;
+        write_json(&found.stated_of(&args.session))?;
     } else {
-        for problem in &found.problems {
-            out!("damaged  {problem}")?;
-        }
-        for stray in &found.strays {
-            out!("stray    {} is in no journal record", stray.display())?;
-        }
-        if found.torn_bytes > 0 {
-            let bytes = found.torn_bytes;
-            out!("torn     the journal ends in {bytes} bytes of an unfinished line")?;
-        }
-        if let Some(suspicion) = &found.suspicion {
-            out!("suspect  {suspicion}")?;
-        }
-        if let Some(step) = &found.clock_step {
-            out!("times    {step}")?;
-        }
-        out!(
-            "{state}, {} files, {} bytes good",
-            found.good_files,
-            found.good_bytes
-        )?;
+        found.lines().iter().try_for_each(|line| out!("{line}"))?;
     }
     let can_be_made_again = found.problems.iter().all(|p| is_derived(p, &args.session));
     if let Some(problem) = found.problems.into_iter().next() {
@@ -202,35 +163,19 @@ fn is_derived(problem: &SessionError, root: &Path) -> bool {
 
 fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
     let session = Session::open(root)?;
-    let lights: Vec<(u32, StageAngles, usize, bool)> = session
-        .record()
-        .plan
-        .lights
-        .iter()
-        .zip(0..)
-        .map(|(&angles, light)| {
-            let frames = session.frames().filter(|f| f.key.light == light).count();
-            (light, angles, frames, session.light_is_finished(light))
-        })
-        .collect();
+    let lights: Vec<_> = session.lights().collect();
     let summary = session.summary();
     if as_json {
-        let lights: Vec<_> = lights
-            .into_iter()
-            .map(|(light, angles, frames, finished)| {
-                json!({
-                    "light": light,
-                    "azimuth_deg": angles.azimuth_deg,
-                    "elevation_deg": angles.elevation_deg,
-                    "frames": frames,
-                    "finished": finished,
-                })
-            })
-            .collect();
         return write_json(&json!({ "summary": summary, "lights": lights }));
     }
     print(&summary)?;
-    for (light, angles, frames, finished) in lights {
+    for LightState {
+        light,
+        angles,
+        frames,
+        finished,
+    } in lights
+    {
         let state = if finished { "finished" } else { "open" };
         out!("  light {light}: {angles}: {frames} frames, {state}")?;
     }

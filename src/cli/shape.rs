@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::number::within;
 use super::{CliError, Context, output, shape_inspect};
 use crate::geometry::shapes::{Form, Profile};
 use crate::geometry::{Mesh, Shape, files};
@@ -20,25 +21,25 @@ pub struct ShapeArgs {
     #[arg(long, requires = "inspect")]
     json: bool,
     /// Radius, mm, 0.001 to 10000: of the sphere, of the base's corners, of the convex arc, of the groove's middle
-    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = length)]
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = within(1e-3f32, 1e4))]
     radius: f32,
     /// Depth, mm: of a corner below its rim, -10000 to 10000, negative for a convex one (tetrahedron; default 7.071); of a V groove, 0.001 to 10000 (default: half the width, which makes it right-angled)
-    #[arg(long, value_name = "MM", allow_negative_numbers = true, value_parser = |text: &str| within(text, -1e4, 1e4))]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, value_parser = within(-1e4f32, 1e4))]
     depth: Option<f32>,
     /// The profile's constant in radii, 0 to 2 (designed)
-    #[arg(long, value_name = "C", default_value_t = 0.5, value_parser = |text: &str| within(text, 0.0, 2.0))]
+    #[arg(long, value_name = "C", default_value_t = 0.5, value_parser = within(0.0f32, 2.0))]
     offset: f32,
     /// Where the designed arc's partner on the wall ends, degrees, 30 to 60 (designed)
-    #[arg(long, value_name = "DEG", default_value_t = 45.0, value_parser = |text: &str| within(text, 30.0, 60.0))]
+    #[arg(long, value_name = "DEG", default_value_t = 45.0, value_parser = within(30.0f32, 60.0))]
     phi_min: f32,
     /// Revolved about z instead of extruded along y (designed)
     #[arg(long)]
     revolved: bool,
     /// Length along y, mm, 0.001 to 10000 (designed, extruded)
-    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = length)]
+    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = within(1e-3f32, 1e4))]
     length: f32,
     /// Width between the rims, mm, 0.001 to less than twice the radius (groove)
-    #[arg(long, value_name = "MM", default_value_t = 6.0, value_parser = length)]
+    #[arg(long, value_name = "MM", default_value_t = 6.0, value_parser = within(1e-3f32, 1e4))]
     width: f32,
     /// Section of the groove
     #[arg(long, value_enum, default_value_t = ProfileArg::Round)]
@@ -73,17 +74,6 @@ enum ProfileArg {
     Round,
     /// Two straight flanks
     Vee,
-}
-
-fn within(text: &str, low: f32, high: f32) -> Result<f32, String> {
-    match text.parse() {
-        Ok(value) if (low..=high).contains(&value) => Ok(value),
-        _ => Err(format!("not a number in {low} to {high}")),
-    }
-}
-
-fn length(text: &str) -> Result<f32, String> {
-    within(text, 1e-3, 1e4)
 }
 
 fn segments(text: &str) -> Result<u32, String> {

@@ -1,17 +1,18 @@
 //! `rig stage`: the light stage by hand.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
 
 use super::context::Context;
 use super::error::CliError;
+use super::number::within;
 use super::open;
 use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::{interrupt, repeatability};
 use crate::capture::open::{PortDriver, Stage, open_port, open_stage, stop_port, stop_stage};
+use crate::device::by_hand;
 use crate::device::{DeviceError, LampChannel, LampState, LightStage, StageActivity, StageStatus};
-use crate::interrupt::{Interrupt, StopLevel};
+use crate::interrupt::Interrupt;
 use crate::out;
 use crate::units::StageAngles;
 use crate::workflow::measure_repeatability;
@@ -49,7 +50,7 @@ enum Action {
         #[arg(value_name = "CHANNEL", value_parser = lamp_state)]
         lamp: LampState,
         /// Off after this long (s)
-        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        #[arg(long, value_name = "SECONDS", value_parser = within(0.0, 86_400.0))]
         seconds: Option<f64>,
         /// Homes first: a controller that is locked until it is homed switches no lamp
         #[arg(long)]
@@ -118,13 +119,6 @@ fn lamp_state(text: &str) -> Result<LampState, String> {
     }
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
-        _ => Err("a number of seconds, 0 to 86400".to_owned()),
-    }
-}
-
 /// `rig stage`.
 pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
     match &args.action {
@@ -138,10 +132,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             azimuth,
             elevation,
         } => {
-            let target = StageAngles {
-                azimuth_deg: *azimuth,
-                elevation_deg: *elevation,
-            };
+            let target = StageAngles::new(*azimuth, *elevation);
             let mut open = which.open_to_reach(target, context)?.guarded()?;
             context.note("homing first: the position is unknown after connecting");
             let status = stoppable(&mut *open.stage, |stage, _| {
@@ -203,7 +194,14 @@ fn light(
                 Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
                 None => "lit until Ctrl-C".to_owned(),
             });
-            keep_lit(stage, lamp, seconds, wishes)?;
+            let Wishes { stopped, interrupt } = *wishes;
+            let lit = by_hand::keep_lit(stage, lamp, seconds, stopped, interrupt);
+            if !lit.map_err(while_lit)? {
+                let port = &stage.info().port;
+                return Err(CliError::new(format!("{port}: the lamp is no longer lit")).hint(
+                    "the controller may have restarted, or it was stopped: check its supply and `rig stage status`",
+                ));
+            }
             stage.set_lamp(LampState::Off).map_err(while_lit)?;
             if wishes.interrupt.take_pause() {
                 suspend_dark(stage.reports_lamp(), context);
@@ -340,44 +338,17 @@ impl Which {
 /// Of the lamp of a stage that does not report it.
 const SENT: &str = "sent, not verified; this stage does not report its lamp: look at it";
 
-/// How often signals are looked at.
-const LOOK: Duration = Duration::from_millis(20);
-/// How often a stage whose lamp is lit is queried.
-const ASK: Duration = Duration::from_secs(1);
-
 /// Runs `act` while another thread waits for a signal, to stop the stage then.
 fn stoppable<T>(
     stage: &mut dyn LightStage,
     act: impl FnOnce(&mut dyn LightStage, &Wishes) -> Result<T, CliError>,
 ) -> Result<T, CliError> {
-    let interrupt = interrupt::listen()?;
-    let mut handle = stage.stop_handle()?;
+    let interrupt = &interrupt::listen()?;
     let reports_lamp = stage.reports_lamp();
-    let done = AtomicBool::new(false);
-    let stopped = AtomicBool::new(false);
-    let (outcome, stop) = std::thread::scope(|scope| {
-        let watcher = scope.spawn(|| {
-            while !done.load(Ordering::Acquire) {
-                if interrupt.level() != StopLevel::Continue {
-                    let outcome = handle.stop();
-                    stopped.store(true, Ordering::Release);
-                    return Some(outcome);
-                }
-                std::thread::sleep(LOOK);
-            }
-            None
-        });
-        // Also where a panic ends it: the scope waits for the watcher.
-        let watching = SetOnDrop(&done);
-        let wishes = Wishes {
-            stopped: &stopped,
-            interrupt: &interrupt,
-        };
-        let outcome = act(stage, &wishes);
-        drop(watching);
-        (outcome, watcher.join().unwrap_or(None))
-    });
-    match (stop, interrupt.signal()) {
+    let ran = by_hand::stoppable(stage, interrupt, |stage, stopped| {
+        act(stage, &Wishes { stopped, interrupt })
+    })?;
+    match (ran.stop, interrupt.signal()) {
         (Some(Ok(())), Some(signal)) => Err(CliError::interrupted(
             signal,
             match reports_lamp {
@@ -387,7 +358,7 @@ fn stoppable<T>(
         )),
         (Some(Err(error)), _) => Err(CliError::from(error)
             .hint("use the emergency stop: the stage did not confirm that it stopped")),
-        _ => outcome,
+        _ => ran.outcome,
     }
 }
 
@@ -399,14 +370,6 @@ struct Wishes<'a> {
     interrupt: &'a Interrupt,
 }
 
-struct SetOnDrop<'a>(&'a AtomicBool);
-
-impl Drop for SetOnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Release);
-    }
-}
-
 /// An error of a stage whose lamp was, or was being, switched on.
 fn while_lit(error: DeviceError) -> CliError {
     match error {
@@ -415,35 +378,6 @@ fn while_lit(error: DeviceError) -> CliError {
         ),
         error => error.into(),
     }
-}
-
-/// Waits until the time is over, a signal has stopped the stage or requests a pause.
-/// Asks the stage meanwhile whether it is there and the lamp lit.
-fn keep_lit(
-    stage: &mut dyn LightStage,
-    lamp: LampState,
-    seconds: Option<f64>,
-    wishes: &Wishes,
-) -> Result<(), CliError> {
-    let start = Instant::now();
-    let over = || seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds);
-    let watchdog = stage.watchdog();
-    let mut asked = start;
-    while !wishes.stopped.load(Ordering::Acquire) && !wishes.interrupt.wants_pause() && !over() {
-        watchdog.wait(LOOK);
-        watchdog.check()?;
-        if asked.elapsed() >= ASK {
-            asked = Instant::now();
-            let status = stage.status().map_err(while_lit)?;
-            if status.lamp.is_some_and(|is| is != lamp) && !wishes.stopped.load(Ordering::Acquire) {
-                let port = &stage.info().port;
-                return Err(CliError::new(format!("{port}: the lamp is no longer lit")).hint(
-                    "the controller may have restarted, or it was stopped: check its supply and `rig stage status`",
-                ));
-            }
-        }
-    }
-    Ok(())
 }
 
 /// Suspends this process with the lamp off, and leaves it off afterwards: nobody may

@@ -8,11 +8,10 @@ use std::time::Duration;
 
 use indicatif::TermLike;
 
-use super::write_queue::WriteQueue;
 use crate::shown;
+pub use crate::write_queue::LAST_WORDS;
+use crate::write_queue::WriteQueue;
 
-/// How long a program that ends waits for stderr to take what is left.
-pub const LAST_WORDS: Duration = Duration::from_secs(1);
 /// How long stdout waits for earlier messages on stderr, so that a terminal
 /// shows both in their order.
 const IN_ORDER: Duration = Duration::from_millis(100);

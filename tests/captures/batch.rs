@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::command_support::{
-    assert_done, assert_fails, copy, good, rig, run, session_of, text, workplace,
+    assert_done, assert_fails, cases, copy, good, rig, run, session_of, text, workplace,
 };
 use rig::session::{Session, fit_record, lock_for_job};
 use tempfile::TempDir;
@@ -398,54 +398,17 @@ fn what_cannot_be_done_is_refused_at_once() {
     fs::write(at("full/note"), "a note").unwrap();
     std::os::unix::fs::symlink(at("a"), at("link")).unwrap();
 
-    let single = "belong to single fits";
-    for (words, fact, hint) in [
-        (
-            "a b link --out out",
-            "is job 1 already",
-            "name each session once; other options need a batch of their own",
-        ),
-        (
-            "a cut --out out",
-            "job 2: cut is not captured completely",
-            "captures the rest; or leave it out",
-        ),
-        (
-            "a none --out out",
-            "job 2: none is not a session",
-            "name the session's own folder",
-        ),
-        (
-            "a --out full",
-            "full: not empty, and no batch's folder",
-            "give a folder with --out that is empty or does not exist",
-        ),
-        (
-            "a --out out --fit --spp=x",
-            "invalid value 'x' for '--spp <N>'",
-            single,
-        ),
-        (
-            "a --out out --fit --pose=x",
-            "`rig fit` has no option '--pose' that a batch could give",
-            single,
-        ),
-        (
-            "a --out out --fit --dictionary=none",
-            "job 1: ",
-            "a file needs its path; names are listed above",
-        ),
-        (
-            "run full",
-            "full: there is no batch (no jobs.toml)",
-            "`rig batch new SESSIONS… --out DIR` makes one",
-        ),
-        (
-            "run out --shard 5/4",
-            "of 4 shards the first is 1/4 and the last 4/4",
-            "rig batch run --help",
-        ),
-    ] {
+    for [words, fact, hint] in cases("
+        a b link --out out | is job 1 already | name each session once; other options need a batch of their own
+        a cut --out out | job 2: cut is not captured completely | captures the rest; or leave it out
+        a none --out out | job 2: none is not a session | name the session's own folder
+        a --out full | full: not empty, and no batch's folder | give a folder with --out that is empty or does not exist
+        a --out out --fit --spp=x | invalid value 'x' for '--spp <N>' | belong to single fits
+        a --out out --fit --pose=x | `rig fit` has no option '--pose' that a batch could give | belong to single fits
+        a --out out --fit --dictionary=none | job 1: | a file needs its path; names are listed above
+        run full | full: there is no batch (no jobs.toml) | `rig batch new SESSIONS… --out DIR` makes one
+        run out --shard 5/4 | of 4 shards the first is 1/4 and the last 4/4 | rig batch run --help
+    ") {
         assert_fails(&batch(&folder, words), 1, fact, hint);
         assert!(!at("out").exists(), "{words}");
     }
@@ -455,50 +418,24 @@ fn what_cannot_be_done_is_refused_at_once() {
     spoil(&at("a"));
     assert_eq!(batch(&folder, "run out --index 1").status.code(), Some(1));
     let jobs = fs::read_to_string(at("out/jobs.toml")).unwrap();
-    for (words, fact, hint) in [
-        (
-            "a --out out --fit OPTIONS",
-            "a batch of other jobs: it had 2 sessions, has 1",
-            "`rig batch run DIR` completes what is there",
-        ),
-        (
-            "b a --out out --fit OPTIONS",
-            "a batch of other jobs: job 1 was ",
-            "give the earlier sessions and options",
-        ),
-        (
-            "a b --out out",
-            "the options of job 1 were \"--spp 4",
-            "give the earlier sessions and options",
-        ),
-        (
-            "run out --index 3",
-            "there is no job 3: out/jobs.toml has jobs 1 to 2",
-            "jobs are counted from 1",
-        ),
-        (
-            "run out --index 0",
-            "there is no job 0",
-            "jobs are counted from 1",
-        ),
-    ] {
+    for [words, fact, hint] in cases(
+        r#"
+        a --out out --fit OPTIONS | a batch of other jobs: it had 2 sessions, has 1 | `rig batch run DIR` completes what is there
+        b a --out out --fit OPTIONS | a batch of other jobs: job 1 was | give the earlier sessions and options
+        a b --out out | the options of job 1 were "--spp 4 | give the earlier sessions and options
+        run out --index 3 | there is no job 3: out/jobs.toml has jobs 1 to 2 | jobs are counted from 1
+        run out --index 0 | there is no job 0 | jobs are counted from 1
+    "#,
+    ) {
         assert_fails(&batch(&folder, words), 1, fact, hint);
     }
-    for (from, to, fact, hint) in [
-        (
-            "rig = \"",
-            "rig = \"0.0",
-            "its jobs are of rig 0.0",
-            "or begin another batch in a folder of its own",
-        ),
-        (
-            "--spp 4",
-            "--spp 5",
-            "records/00001.json: job 1 was done with other options than it has now",
-            "or jobs.toml has changed since: put it back",
-        ),
-        ("/b\"", "/a\"", "is job 1 already", "name each session once"),
-    ] {
+    for [from, to, fact, hint] in cases(
+        r#"
+        rig = " | rig = "0.0 | its jobs are of rig 0.0 | or begin another batch in a folder of its own
+        --spp 4 | --spp 5 | records/00001.json: job 1 was done with other options than it has now | or jobs.toml has changed since: put it back
+        /b" | /a" | is job 1 already | name each session once
+    "#,
+    ) {
         fs::write(at("out/jobs.toml"), jobs.replace(from, to)).unwrap();
         for words in ["run out", "collect out"] {
             assert_fails(&batch(&folder, words), 1, fact, hint);

@@ -309,10 +309,7 @@ fn one_exposure(stuck_s: Option<f64>) -> (Result<Outcome, CaptureError>, Vec<Str
     let root = session.root().to_owned();
     let mut camera = camera(&bench, None);
     if let Some(stuck_s) = stuck_s {
-        let settings = CameraSettings {
-            exposure: Seconds(stuck_s),
-            gain: 1.0,
-        };
+        let settings = CameraSettings::new(Seconds(stuck_s), 1.0);
         camera.configure(settings).unwrap();
         let faults = camera.faults();
         faults.inject(CameraFault::IgnoreSettings(u32::MAX));

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::command_support::{
-    assert_refused, rig, run, session_of, shipped_workplace, text, with_body, workplace,
+    assert_refused, rig, run, session_of, shipped_workplace, text, with_body, words, workplace,
 };
 use rig::brdf::Dictionary;
 use rig::cells::{Captured, CellOptions};
@@ -133,16 +133,7 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
     let mesh = meshes.join("bowl.ply");
     let made = run(
         &folder,
-        &[
-            "shape",
-            "bowl",
-            "--radius",
-            "10",
-            "--segments",
-            "24",
-            "--out",
-            "meshes/bowl.ply",
-        ],
+        &words("shape bowl --radius 10 --segments 24 --out meshes/bowl.ply"),
     );
     assert!(made.status.success(), "{}", text(&made.stderr));
     let captured = run(&folder, &["capture", "--lights", "1", "--no-fit"]);

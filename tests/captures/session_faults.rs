@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::command_support::words;
 use crate::command_support::*;
 use rig::session::journal::encode;
 use rig::session::{Event, FileDigest, Journal, Record, layout};
@@ -405,39 +406,15 @@ fn what_cannot_be_written_is_refused_before_the_work() {
     fs::write(at.join("scene.toml"), SCENE).unwrap();
     for (arguments, fact) in [
         (
-            &[
-                "fit",
-                "--scene",
-                "scene.toml",
-                "--image",
-                "none.exr",
-                "--out",
-                "file/x",
-            ][..],
+            &words("fit --scene scene.toml --image none.exr --out file/x")[..],
             "file/x: ",
         ),
         (
-            &[
-                "fit",
-                "--scene",
-                "scene.toml",
-                "--image",
-                "none.exr",
-                "--out",
-                "/proc/x",
-            ],
+            &words("fit --scene scene.toml --image none.exr --out /proc/x"),
             "/proc/x: ",
         ),
         (
-            &[
-                "render",
-                "--scene",
-                "scene.toml",
-                "--spp",
-                "65536",
-                "--out",
-                "/proc/x.exr",
-            ],
+            &words("render --scene scene.toml --spp 65536 --out /proc/x.exr"),
             "/proc/x.exr: ",
         ),
         (&["calibrate", "sensor", "--out", "file/x"], "file/x: "),

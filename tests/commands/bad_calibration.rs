@@ -5,18 +5,9 @@ use crate::small_bench;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Output;
 
+use crate::command_support::run as rig;
 use rig::radiance_image::{RadianceImage, exr};
-
-fn rig(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    command
-        .current_dir(folder)
-        .args(arguments)
-        .output()
-        .unwrap()
-}
 
 /// The simulated rig with these lines changed, and a record of each kind that
 /// must stay as it is.

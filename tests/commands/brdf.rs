@@ -2,24 +2,12 @@
 
 use crate::fitted_session;
 
+use crate::command_support::{ended, run, words};
 use std::path::Path;
-
-use assert_cmd::Command;
 
 /// Exit code, stdout, stderr.
 fn rig(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_rig"))
-        .current_dir(folder)
-        .arg("brdf")
-        .args(arguments)
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (
-        output.status.code().unwrap_or(-1),
-        text(output.stdout),
-        text(output.stderr),
-    )
+    ended(&run(folder, &[&["brdf"], arguments].concat()))
 }
 
 #[test]
@@ -89,14 +77,7 @@ fn a_converted_material_is_the_material() {
     assert_eq!((code, out.as_str()), (0, "paint.binary\n"), "{err}");
     let (code, out, err) = rig(
         folder.path(),
-        &[
-            "compare",
-            "paint.binary",
-            "nbrdf:dark-red-paint",
-            "--size",
-            "12",
-            "--json",
-        ],
+        &words("compare paint.binary nbrdf:dark-red-paint --size 12 --json"),
     );
     assert_eq!(code, 0, "{err}");
     let scores: serde_json::Value = serde_json::from_str(&out).unwrap();
@@ -118,17 +99,7 @@ fn a_projection_shows_the_score_beside_its_floor() {
     let folder = tempfile::tempdir().unwrap();
     let (code, out, err) = rig(
         folder.path(),
-        &[
-            "project",
-            "lambertian:0.5",
-            "--dictionary",
-            "rig26",
-            "--size",
-            "12",
-            "--json",
-            "--out",
-            "weights.csv",
-        ],
+        &words("project lambertian:0.5 --dictionary rig26 --size 12 --json --out weights.csv"),
     );
     assert_eq!(code, 0, "{err}");
     let answer: serde_json::Value = serde_json::from_str(&out).unwrap();
@@ -193,52 +164,19 @@ fn bad_input_is_one_line_and_a_hint() {
             "none.csv",
         ),
         (
-            &[
-                "plot",
-                "ggx:0.1,1.5",
-                "--kind",
-                "difference",
-                "--out",
-                "x.png",
-            ],
+            &words("plot ggx:0.1,1.5 --kind difference --out x.png"),
             "a difference needs two BRDFs",
         ),
         (
-            &[
-                "plot",
-                "ggx:0.1,1.5",
-                "--kind",
-                "lobes",
-                "--angles",
-                "15,95",
-                "--out",
-                "x.svg",
-            ],
+            &words("plot ggx:0.1,1.5 --kind lobes --angles 15,95 --out x.svg"),
             "allowed are 0 to 89 degrees",
         ),
         (
-            &[
-                "plot",
-                "ggx:0.1,1.5",
-                "--kind",
-                "slices",
-                "--channels",
-                "rgr",
-                "--out",
-                "x.svg",
-            ],
+            &words("plot ggx:0.1,1.5 --kind slices --channels rgr --out x.svg"),
             "the letters r, g and b",
         ),
         (
-            &[
-                "plot",
-                "ggx:0.1,1.5",
-                "gold",
-                "--kind",
-                "lobes",
-                "--out",
-                "x.svg",
-            ],
+            &words("plot ggx:0.1,1.5 gold --kind lobes --out x.svg"),
             "\"gold\" is no BRDF",
         ),
         (

@@ -1,6 +1,7 @@
 //! `rig calibrate` as the operator meets it: records, figures, status, and that a
 //! failure leaves what was there.
 
+use crate::command_support::words;
 use crate::small_bench;
 
 use std::path::Path;
@@ -196,16 +197,9 @@ fn the_record_of_the_gain_in_use_is_taken() {
     ] {
         rig_file(at, &[("\ngain = 1.0", &format!("\n{gain}"))]);
         rig(at)
-            .args([
-                "calibrate",
-                "sensor",
-                "--frames",
-                "8",
-                "--id",
-                id,
-                "--date",
-                date,
-            ])
+            .args(words(&format!(
+                "calibrate sensor --frames 8 --id {id} --date {date}"
+            )))
             .assert()
             .success();
     }
@@ -263,7 +257,7 @@ fn the_lamp_is_watched_and_a_failure_keeps_the_old_record() {
     let records = std::fs::read_dir(at.join("calibration/simulated/lamp")).unwrap();
     assert_eq!(records.count(), 1);
     for (wrong, advice) in [
-        (["--minutes", "1"], "it must be a number from 2 to 240"),
+        (["--minutes", "1"], "not a number in 2 to 240"),
         (["--channel", "7"], "its channels are 0 to 2"),
     ] {
         let output = rig(at).args(&lamp[..2]).args(wrong).output().unwrap();

@@ -7,19 +7,12 @@ use std::path::Path;
 use std::process::Command;
 use std::process::{Child, Stdio};
 
+use crate::command_support::{ended, run};
 use image::{ImageBuffer, Luma};
 use serde_json::Value;
 
 fn rig(arguments: &[&str], folder: &Path) -> (i32, String, String) {
-    let output = Command::new(assert_cmd::cargo::cargo_bin("rig"))
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("RIG_CONFIG")
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    let code = output.status.code().unwrap_or(-1);
-    (code, text(output.stdout), text(output.stderr))
+    ended(&run(folder, arguments))
 }
 
 /// A rig whose camera is a program that copies an image of 6 × 4 pixels.

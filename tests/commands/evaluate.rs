@@ -2,22 +2,12 @@
 
 use std::path::Path;
 
+use crate::command_support::{cases, ended, run_line};
 use assert_cmd::Command;
 use serde_json::Value;
 
-fn rig(folder: &Path, words: &str) -> (Option<i32>, String, String) {
-    let output = Command::cargo_bin("rig")
-        .unwrap()
-        .current_dir(folder)
-        .args(words.split(' '))
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (
-        output.status.code(),
-        text(output.stdout),
-        text(output.stderr),
-    )
+fn rig(folder: &Path, line: &str) -> (i32, String, String) {
+    ended(&run_line(folder, line))
 }
 
 fn read(path: &Path) -> String {
@@ -31,7 +21,7 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let (code, stdout, stderr) = rig(folder.path(), SHAPES);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert_eq!(stdout, "out\n");
     let csv = read(&out.join("table.csv"));
     let json: Value = serde_json::from_str(&read(&out.join("table.json"))).unwrap();
@@ -78,26 +68,26 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
     )
     .unwrap();
     let (code, _, stderr) = rig(folder.path(), SHAPES);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("4 cases were finished before"), "{stderr}");
     assert_eq!(read(&out.join("table.csv")), csv);
 
     // A text that no case has in its name; then one case alone, and the others after it.
     let (code, _, stderr) = rig(folder.path(), &format!("{SHAPES} --only torus"));
-    assert_eq!(code, Some(1));
+    assert_eq!(code, 1);
     assert!(
         stderr.contains("none of the 5 cases has \"torus\""),
         "{stderr}"
     );
     let parts = SHAPES.replace("--out out", "--out parts");
     let (code, _, stderr) = rig(folder.path(), &format!("{parts} --only bowl"));
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("4 other cases are open"), "{stderr}");
     let parts_out = folder.path().join("parts");
     assert_eq!(read(&parts_out.join("table.csv")).lines().count(), 2);
     assert!(!parts_out.join("shapes.svg").exists());
     let (code, _, stderr) = rig(folder.path(), &parts);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("1 case was finished before"), "{stderr}");
     assert_eq!(read(&parts_out.join("table.csv")), csv);
     assert!(parts_out.join("shapes.svg").exists());
@@ -105,14 +95,14 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
     // Other settings are refused by name; --restart begins anew.
     let other = SHAPES.replace("--spp 16", "--spp 8");
     let (code, _, stderr) = rig(folder.path(), &other);
-    assert_eq!(code, Some(1));
+    assert_eq!(code, 1);
     assert!(
         stderr.contains("samples_per_pixel was 16, is 8") && stderr.contains("--restart"),
         "{stderr}"
     );
     assert_eq!(read(&out.join("table.csv")), csv);
     let (code, _, stderr) = rig(folder.path(), &format!("{other} --restart"));
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert_ne!(read(&out.join("table.csv")), csv);
 }
 
@@ -127,7 +117,7 @@ fn shards_give_the_table_of_one_process() {
     };
     let done = |words: &str| {
         let (code, stdout, stderr) = rig(folder.path(), words);
-        assert_eq!(code, Some(0), "{stderr}");
+        assert_eq!(code, 0, "{stderr}");
         (stdout, stderr)
     };
     let into = |out: &str| {
@@ -145,7 +135,7 @@ fn shards_give_the_table_of_one_process() {
                 let folder = folder.path();
                 scope.spawn(move || {
                     let (code, _, stderr) = rig(folder, &words);
-                    assert_eq!(code, Some(0), "{stderr}");
+                    assert_eq!(code, 0, "{stderr}");
                 });
             }
         });
@@ -176,7 +166,7 @@ fn shards_give_the_table_of_one_process() {
         let file = open(name);
         file.try_lock().unwrap();
         let (code, _, stderr) = rig(folder.path(), &format!("{}{words}", into("of-2")));
-        assert_eq!(code, Some(1), "{stderr}");
+        assert_eq!(code, 1, "{stderr}");
         assert!(
             stderr.contains("another process is at work in this folder"),
             "{stderr}"
@@ -185,13 +175,13 @@ fn shards_give_the_table_of_one_process() {
     let shared = open("journal.jsonl");
     shared.try_lock_shared().unwrap();
     let (code, _, stderr) = rig(folder.path(), &into("of-2"));
-    assert_eq!(code, Some(1), "{stderr}");
+    assert_eq!(code, 1, "{stderr}");
     done(&format!("{} --shard 2/2", into("of-2")));
     let (code, _, stderr) = rig(
         folder.path(),
         &SHAPES.replace("--out out", "--out of-2 --shard 1/2"),
     );
-    assert_eq!(code, Some(1));
+    assert_eq!(code, 1);
     assert!(
         stderr.contains("samples_per_pixel was 4, is 16"),
         "{stderr}"
@@ -217,7 +207,7 @@ fn plans_of_the_shipped_benches_are_scored() {
     let folder = tempfile::tempdir().unwrap();
     let plans = "evaluate plans --quick --resolution 20 --spp 32 --materials synthetic:cream-satin --portable --only /4/planned --out out";
     let (code, _, stderr) = rig(folder.path(), plans);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     let json: Value = serde_json::from_str(&read(&folder.path().join("out/table.json"))).unwrap();
     let rows = json["rows"].as_array().unwrap();
     assert_eq!(rows.len(), rig::config::BUILT_IN.len());
@@ -238,7 +228,7 @@ fn visits_of_the_table_are_as_the_paper_says() {
     let folder = tempfile::tempdir().unwrap();
     let words = "evaluate table-visits --quick --resolution 16 --spp 32 --json --out v";
     let (code, stdout, stderr) = rig(folder.path(), words);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     let json: Value = serde_json::from_str(&stdout).unwrap();
     let cells = |shape: &str, reflections: u64| -> Vec<(f64, f64)> {
         let rows = json["rows"].as_array().unwrap();
@@ -273,7 +263,7 @@ fn the_outside_method_is_scored_like_a_fit() {
     let folder = tempfile::tempdir().unwrap();
     let words = "evaluate baseline --quick --materials nbrdf:pvc,nbrdf:green-latex --only pvc --json --out b";
     let (code, stdout, stderr) = rig(folder.path(), words);
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("1 other case is open"), "{stderr}");
     let json: Value = serde_json::from_str(&stdout).unwrap();
     let rows = json["rows"].as_array().unwrap();
@@ -320,7 +310,7 @@ fn the_outside_method_is_scored_like_a_fit() {
 
     // The other material later, to a table of both with a figure.
     let (code, _, stderr) = rig(folder.path(), &words.replace(" --only pvc", ""));
-    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("1 case was finished before"), "{stderr}");
     let csv = read(&folder.path().join("b/table.csv"));
     assert_eq!(csv.lines().count(), 15);
@@ -331,41 +321,22 @@ fn the_outside_method_is_scored_like_a_fit() {
 fn what_is_wrong_is_said_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("mine.txt"), "kept").unwrap();
-    for (words, said) in [
-        (
-            "evaluate nothing --out a",
-            "\"nothing\" is no experiment (known: atoms, accuracy",
-        ),
-        (
-            "evaluate atoms --lights 3 --out a",
-            "atoms has no setting lights",
-        ),
-        (
-            "evaluate shapes --materials gold --out a",
-            "\"gold\" is unknown (known: bundled, mirrors",
-        ),
-        (
-            "evaluate shapes --materials pvc --out a",
-            "did you mean `nbrdf:pvc`?",
-        ),
-        ("evaluate shaps --out a", "did you mean `shapes`?"),
-        (
-            "evaluate atoms --truth-spp 64 --out a",
-            "atoms has no setting truth-spp",
-        ),
-        ("evaluate shapes --sphere 4 --out a", "8..=512"),
-        (
-            "evaluate form --materials nbrdf:pvc --out a",
-            "no material of class in-span",
-        ),
-        (
-            "evaluate shapes --out .",
-            "not empty, and no experiment's folder",
-        ),
-        ("evaluate shapes", "--out <DIR>"),
-    ] {
+    for [words, said] in cases(
+        r#"
+        evaluate nothing --out a | "nothing" is no experiment (known: atoms, accuracy
+        evaluate atoms --lights 3 --out a | atoms has no setting lights
+        evaluate shapes --materials gold --out a | "gold" is unknown (known: bundled, mirrors
+        evaluate shapes --materials pvc --out a | did you mean `nbrdf:pvc`?
+        evaluate shaps --out a | did you mean `shapes`?
+        evaluate atoms --truth-spp 64 --out a | atoms has no setting truth-spp
+        evaluate shapes --sphere 4 --out a | 8..=512
+        evaluate form --materials nbrdf:pvc --out a | no material of class in-span
+        evaluate shapes --out . | not empty, and no experiment's folder
+        evaluate shapes | --out <DIR>
+    "#,
+    ) {
         let (code, _, stderr) = rig(folder.path(), words);
-        assert_eq!(code, Some(1), "{words}");
+        assert_eq!(code, 1, "{words}");
         assert!(
             stderr.contains(said) && stderr.contains("hint: "),
             "{stderr}"
@@ -405,6 +376,6 @@ fn what_is_wrong_is_said_before_anything_is_written() {
         assert_eq!(breaks, words.contains("--slurm"), "{stderr}");
     }
     let (code, stdout, _) = rig(folder.path(), "evaluate --list");
-    assert_eq!(code, Some(0));
+    assert_eq!(code, 0);
     assert!(stdout.lines().count() > 10 && stdout.contains("light-count"));
 }

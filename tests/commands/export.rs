@@ -2,22 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::Arc;
 
+use crate::command_support::{run, stderr, words};
 use rig::brdf::{Dictionary, Mixture};
 use rig::session::fit_record::{self, FitImages, FitRecord};
 
 fn rig(arguments: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rig"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
+    run(folder, arguments)
 }
 
 fn write_fit(folder: &Path) {
@@ -306,14 +299,7 @@ fn failures_are_one_line_and_a_hint() {
             "give the folder that `rig fit --out` wrote, or a session",
         ),
         (
-            &[
-                "export",
-                "whole",
-                "--format",
-                "merl",
-                "--out",
-                "whole/fit.toml",
-            ],
+            &words("export whole --format merl --out whole/fit.toml"),
             "whole/fit.toml: the name of such a file ends in .binary",
         ),
         (&["bench", "--only", "nothing"], "no case's name holds"),

@@ -2,9 +2,9 @@
 //! states them.
 
 use std::path::Path;
-use std::process::{Command, Output};
 use std::sync::Mutex;
 
+use crate::command_support::{cases, run_line as rig};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, LumaA, Rgba, RgbaImage};
 use rig::inverse::Channels;
 use rig::progress::Progress;
@@ -48,14 +48,6 @@ translation_mm = 0.0
 "#;
 
 const FIT: &str = "fit --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --kernel portable";
-
-fn rig(folder: &Path, words: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rig"))
-        .args(words.split_whitespace())
-        .current_dir(folder)
-        .output()
-        .unwrap()
-}
 
 /// A folder with a scene and its images.
 fn photographed() -> tempfile::TempDir {
@@ -436,19 +428,11 @@ fn images_out_of_order_are_said_before_the_fit() {
 #[test]
 fn options_that_would_do_nothing_are_refused() {
     let home = photographed();
-    for (options, fact, hint) in [
-        (
-            "--uncertainty light_deg=0.5",
-            "the bench is not refined",
-            "add --refine-bench, or leave --uncertainty out",
-        ),
-        ("--refine-bench --uncertainty light=0.5", "light_deg", ""),
-        (
-            "--mask gone.png",
-            "gone.png",
-            "a mask is a PNG of the images' size",
-        ),
-    ] {
+    for [options, fact, hint] in cases("
+        --uncertainty light_deg=0.5 | the bench is not refined | add --refine-bench, or leave --uncertainty out
+        --refine-bench --uncertainty light=0.5 | light_deg |
+        --mask gone.png | gone.png | a mask is a PNG of the images' size
+    ") {
         let done = rig(home.path(), &format!("{FIT} --out no {options}"));
         let stderr = String::from_utf8_lossy(&done.stderr);
         assert_eq!(done.status.code(), Some(1), "{options}: {stderr}");

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::command_support::{good, run, small_bench_with, text};
+use crate::command_support::{good, run, small_bench_with, text, words};
 use serde_json::Value;
 
 /// The simulated rig with a glossy sphere on it, and a stage that is turned by 0.8° and
@@ -88,16 +88,9 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
 
     let output = good(run(
         at,
-        &[
-            "calibrate",
-            "lights",
-            session,
-            "--radius",
-            "10",
-            "--id",
-            "one",
-            "--json",
-        ],
+        &words(&format!(
+            "calibrate lights {session} --radius 10 --id one --json"
+        )),
     ));
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
     let stage = &found["values"]["stage"];
@@ -135,15 +128,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
     let bytes = std::fs::read(&record).unwrap();
     let again = run(
         at,
-        &[
-            "calibrate",
-            "lights",
-            session,
-            "--radius",
-            "10",
-            "--id",
-            "one",
-        ],
+        &words(&format!("calibrate lights {session} --radius 10 --id one")),
     );
     assert_eq!(again.status.code(), Some(1));
     assert_eq!(std::fs::read(&record).unwrap(), bytes);
@@ -159,14 +144,10 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
     assert!(next.join("calibration/directions/one.toml").is_file());
     let fitted = good(run(
         at,
-        &[
-            "fit",
-            next.to_str().unwrap(),
-            "--spp",
-            "2",
-            "--max-reflections",
-            "2",
-        ],
+        &words(&format!(
+            "fit {} --spp 2 --max-reflections 2",
+            next.display()
+        )),
     ));
     let said = text(&fitted.stderr);
     assert!(said.contains("light directions by record one"), "{said}");

@@ -1,5 +1,6 @@
 //! `rig merge` and `rig calibrate response` on folders of frames.
 
+use crate::command_support::{cases, words};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -46,12 +47,7 @@ fn a_folder_of_photographs_becomes_a_response_and_radiance() {
     }
     rig()
         .current_dir(&folder)
-        .args([
-            "merge",
-            "frames",
-            "--response",
-            "records/response/first.toml",
-        ])
+        .args(words("merge frames --response records/response/first.toml"))
         .args(["--out", "out.exr"])
         .assert()
         .success();
@@ -88,39 +84,21 @@ fn single_frames_become_an_image_each() {
     std::fs::create_dir(path("other")).unwrap();
     write_grey(&path("other/a.png"), 20, (0..400).map(|p| p % 3).collect());
     write_grey(&path("small.png"), 10, (0..100).map(|p| p % 3).collect());
-    let merge = |words: &str| {
+    let merge = |line: &str| {
         rig()
             .current_dir(&folder)
-            .args([
-                "merge",
-                "--gain",
-                "2",
-                "--read-noise",
-                "3",
-                "--black-level",
-                "0",
-            ])
-            .args(words.split_whitespace())
+            .args(words("merge --gain 2 --read-noise 3 --black-level 0"))
+            .args(words(line))
             .output()
             .unwrap()
     };
-    for (words, fact, hint) in [
-        (
-            "a.png other/a.png --each no",
-            "would both become no/a.exr",
-            "another name",
-        ),
-        (
-            "a.png small.png --each no",
-            "10 x 10",
-            "leave the odd frame out",
-        ),
-        (
-            "b.png c_2s.png --each no",
-            "exposure of b.png is unknown",
-            "--exposures",
-        ),
-    ] {
+    for [words, fact, hint] in cases(
+        "
+        a.png other/a.png --each no | would both become no/a.exr | another name
+        a.png small.png --each no | 10 x 10 | leave the odd frame out
+        b.png c_2s.png --each no | exposure of b.png is unknown | --exposures
+    ",
+    ) {
         let output = merge(words);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(
@@ -169,15 +147,7 @@ fn names_state_exposures_and_the_report_shows_how_they_agree() {
     for (more, size) in [(&[][..], 10), (&["--full-resolution"], 20)] {
         let output = rig()
             .current_dir(&folder)
-            .args([
-                "merge",
-                ".",
-                "--mosaic",
-                "rggb",
-                "--bit-depth",
-                "12",
-                "--json",
-            ])
+            .args(words("merge . --mosaic rggb --bit-depth 12 --json"))
             .args(sensor)
             .args(more)
             .output()

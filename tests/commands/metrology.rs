@@ -4,30 +4,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::command_support::{self, run as rig, stderr, words};
 use crate::fitted_session::{LAB, fit, session};
 use rig::brdf::HalfDifference;
 use rig::report::certificate::{CertificateRequest, certificate};
 use rig::session::fit_record::{self, FitImages, Grade, Warning};
 use serde_json::Value;
 
-fn rig(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rig"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
-}
-
 #[track_caller]
 fn assert_fails(output: &Output, fact: &str, hint: &str) {
-    let text = stderr(output);
-    assert_eq!(output.status.code(), Some(1), "{text}");
-    let (said, advised) = text.split_once("\n\nhint: ").unwrap_or((&text, ""));
-    assert!(said.contains(fact) && advised.contains(hint), "{text}");
+    command_support::assert_fails(output, 1, fact, hint);
 }
 
 fn column(document: &Value, path: &str) -> Vec<f64> {
@@ -52,13 +38,10 @@ fn nothing_of_a_browser_stays() {
         let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
         std::fs::set_permissions(at("bin/chromium"), mode).unwrap();
         Command::new(env!("CARGO_BIN_EXE_rig"))
-            .args([
-                "report",
-                root.to_str().unwrap(),
-                "--certificate",
-                "--out",
-                "c.pdf",
-            ])
+            .args(words(&format!(
+                "report {} --certificate --out c.pdf",
+                root.display()
+            )))
             .current_dir(home.path())
             .env("PATH", format!("{here}/bin:/usr/bin:/bin"))
             .env("TMPDIR", at("tmp"))
@@ -205,14 +188,10 @@ fn a_simulation_is_one_and_what_is_not_stated_is_named() {
     let root = session(home.path(), &fit(true), "[lab]\ncity = \"Espoo\"\n", true);
     let done = rig(
         home.path(),
-        &[
-            "export",
-            root.to_str().unwrap(),
-            "--format",
-            "birdf",
-            "--out",
-            "x.json",
-        ],
+        &words(&format!(
+            "export {} --format birdf --out x.json",
+            root.display()
+        )),
     );
     let said = stderr(&done);
     assert!(
@@ -299,13 +278,10 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
     let root = session(home.path(), &record, LAB, true);
     let done = rig(
         home.path(),
-        &[
-            "report",
-            root.to_str().unwrap(),
-            "--certificate",
-            "--out",
-            "c.html",
-        ],
+        &words(&format!(
+            "report {} --certificate --out c.html",
+            root.display()
+        )),
     );
     assert!(done.status.success(), "{}", stderr(&done));
     let html = std::fs::read_to_string(home.path().join("c.html")).unwrap();
@@ -502,13 +478,10 @@ fn nobody_signs_what_is_not_to_be_trusted() {
     let certified = |root: &Path| {
         rig(
             home.path(),
-            &[
-                "report",
-                root.to_str().unwrap(),
-                "--certificate",
-                "--out",
-                "c.html",
-            ],
+            &words(&format!(
+                "report {} --certificate --out c.html",
+                root.display()
+            )),
         )
     };
     let distrusted = made(

@@ -3,8 +3,8 @@
 //! must not be.
 
 use std::path::Path;
-use std::process::{Command, Output};
 
+use crate::command_support::run_line as rig;
 use rig::radiance_image::{RadianceImage, exr};
 
 /// A bowl under two lights, of a material that no dictionary holds exactly.
@@ -36,14 +36,6 @@ mixture = [
   { weight = [0.3, 0.4, 0.35], black = {} },
 ]
 "#;
-
-fn rig(folder: &Path, words: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_rig"))
-        .args(words.split_whitespace())
-        .current_dir(folder)
-        .output()
-        .unwrap()
-}
 
 /// How a fit ended: its verdict, or that it was refused, and what was said.
 fn outcome(folder: &Path, scene: &str, images: &[RadianceImage]) -> (String, String) {

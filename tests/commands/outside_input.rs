@@ -1,52 +1,12 @@
 //! What comes from outside cannot hold the program, fill its memory, or speak to the terminal:
 //! special files, long input, control characters, changed records, limits of the shell.
 
-use std::path::Path;
 use std::process::Output;
 
 use assert_cmd::Command;
 
-const SCENE: &str = r#"
-[camera]
-model = "orthographic"
-resolution_px = [8, 8]
-extent_mm = [2.2, 2.2]
-position_mm = [0.0, 0.0, 5.0]
-
-[[light]]
-kind = "directional"
-to_light = [0.0, 0.0, 1.0]
-
-[sample]
-shape = { kind = "bowl", radius_mm = 1.0, segments = 16 }
-
-[brdf]
-mixture = [ { weight = 1.0, lambertian = { albedo = 0.5 } } ]
-"#;
-
-fn run(folder: &Path, args: &[&str]) -> Output {
-    let mut command = Command::cargo_bin("rig").unwrap();
-    command
-        .current_dir(folder)
-        .env_remove("RIG_CONFIG")
-        .env_remove("RUST_BACKTRACE")
-        .args(args);
-    command.output().unwrap()
-}
-
-/// The contract of a failed command.
-fn assert_fails_well(name: &str, output: &Output, fact: &str, hint: &str) {
-    let stderr = String::from_utf8(output.stderr.clone()).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{name}: {stderr}");
-    let lines: Vec<_> = stderr.lines().collect();
-    assert_eq!(lines.len(), 3, "{name}: {stderr}");
-    assert!(lines[0].starts_with("error: "), "{name}: {stderr}");
-    assert!(lines[0].contains(fact), "{name}: {stderr}");
-    assert!(lines[1].is_empty(), "{name}: {stderr}");
-    assert!(lines[2].starts_with("hint: "), "{name}: {stderr}");
-    assert!(lines[2].contains(hint), "{name}: {stderr}");
-    assert!(output.stdout.is_empty(), "{name} wrote to stdout");
-}
+use crate::bad_input::assert_fails_well;
+use crate::command_support::{SCENE, run, words};
 
 /// A folder with a rig file, a scene, a named pipe under every ending that a reader knows, and
 /// links to a device that never ends.
@@ -234,16 +194,9 @@ fn nothing_that_a_terminal_obeys_reaches_it() {
         &["calibrate", "status", "--rig", "serial.toml"],
         &["doctor", "--rig", odd],
         &["brdf", "check", odd],
-        &[
-            "merge",
-            odd,
-            "--gain",
-            "1",
-            "--read-noise",
-            "1",
-            "--black-level",
-            "0",
-        ],
+        &words(&format!(
+            "merge {odd} --gain 1 --read-noise 1 --black-level 0"
+        )),
         &["session", "verify", odd],
         &["session", "list", odd],
         &["capture", "--lights", odd],

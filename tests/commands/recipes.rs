@@ -1,6 +1,7 @@
 //! The commands of docs/recipes.md, run as they stand there, on small spheres and with a
 //! small dictionary.
 
+use crate::command_support::words;
 use crate::fitted_session;
 
 use std::os::unix::fs::symlink;
@@ -65,15 +66,9 @@ fn every_recipe_does_what_it_says() {
     }
     // There and back: RGL's values at the horizon, f·cos θ over cos θ, are not spread.
     let done = Command::new(programs.join("rig"))
-        .args([
-            "brdf",
-            "compare",
-            "back.binary",
-            "red.binary",
-            "--size",
-            "12",
-            "--json",
-        ])
+        .args(words(
+            "brdf compare back.binary red.binary --size 12 --json",
+        ))
         .current_dir(home.path())
         .output()
         .unwrap();

@@ -2,25 +2,15 @@
 
 use std::path::Path;
 
-use assert_cmd::Command;
+use crate::command_support::{cases, ended, run};
 use rig::frames::{MeshFile, Rigid, Sample};
 use rig::geometry::{Mesh, Placement, Shape, files};
 use rig::radiance_image::exr;
 use serde_json::Value;
 
 fn rig(folder: &Path, args: &[&str]) -> (bool, String, String) {
-    let output = Command::cargo_bin("rig")
-        .unwrap()
-        .current_dir(folder)
-        .args(args)
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (
-        output.status.success(),
-        text(output.stdout),
-        text(output.stderr),
-    )
+    let (code, out, said) = ended(&run(folder, args));
+    (code == 0, out, said)
 }
 
 #[test]
@@ -59,35 +49,19 @@ fn values_out_of_range_and_unusable_places_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("there.ply")).unwrap();
     std::os::unix::fs::symlink("/dev/null", folder.path().join("null.ply")).unwrap();
-    for (args, expected) in [
-        (
-            "bowl --segments 10 --out a.ply",
-            "not a multiple of 4 in 8 to 4096",
-        ),
-        (
-            "bowl --radius nan --out a.ply",
-            "not a number in 0.001 to 10000",
-        ),
-        ("designed --offset 3 --out a.ply", "not a number in 0 to 2"),
-        (
-            "groove --width 20 --out a.ply",
-            "--width is 20, allowed is less than twice",
-        ),
-        (
-            "groove --profile vee --depth -1 --out a.ply",
-            "--depth is -1",
-        ),
-        ("bowl --out a.step", "does not end in .ply, .obj or .stl"),
-        (
-            "bowl --out there.ply",
-            "there.ply: it exists and is not a regular file",
-        ),
-        (
-            "bowl --out null.ply",
-            "null.ply: it exists and is not a regular file",
-        ),
-        ("bowl --out no/a.ply", "no/a.ply"),
-    ] {
+    for [args, expected] in cases(
+        "
+        bowl --segments 10 --out a.ply | not a multiple of 4 in 8 to 4096
+        bowl --radius nan --out a.ply | not a number in 0.001 to 10000
+        designed --offset 3 --out a.ply | not a number in 0 to 2
+        groove --width 20 --out a.ply | --width is 20, allowed is less than twice
+        groove --profile vee --depth -1 --out a.ply | --depth is -1
+        bowl --out a.step | does not end in .ply, .obj or .stl
+        bowl --out there.ply | there.ply: it exists and is not a regular file
+        bowl --out null.ply | null.ply: it exists and is not a regular file
+        bowl --out no/a.ply | no/a.ply
+    ",
+    ) {
         let mut words = vec!["shape"];
         words.extend(args.split(' '));
         let (success, stdout, stderr) = rig(folder.path(), &words);

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::command_support::{good, json, run, text};
+use crate::command_support::{good, json, run, text, words};
 use crate::init::Terminal;
 
 /// The rehearsal's rig file with 60 × 40 pixels, fewer paths and a quick fit.
@@ -34,14 +34,7 @@ fn a_torch_held_by_hand_leads_to_a_tested_fit() {
     good(run(at, &["calibrate", "sensor"]));
     good(run(
         at,
-        &[
-            "calibrate",
-            "flat",
-            "--radiance",
-            "0.4",
-            "--radiance-std",
-            "0.02",
-        ],
+        &words("calibrate flat --radiance 0.4 --radiance-std 0.02"),
     ));
     // Each light is placed, switched on and switched off, and nothing else is asked.
     let mut person = Terminal::start(

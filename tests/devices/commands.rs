@@ -7,7 +7,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::command_support::{rig_file_on_port, text};
+use crate::command_support::{self, rig_file_on_port, text, words};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use rustix::process::Signal;
@@ -15,9 +15,7 @@ use rustix::process::Signal;
 use mock_devices::grbl::{Fault, GrblConfig, GrblSimulator, Trigger};
 
 fn rig(args: &[&str]) -> Command {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin("rig"));
-    command.args(args).env_remove("RIG_CONFIG");
-    command
+    command_support::rig(".", args)
 }
 
 fn run(args: &[&str]) -> Output {
@@ -39,18 +37,9 @@ fn rig_file(port: &str) -> (tempfile::TempDir, String) {
 /// Code 1, nothing on stdout, one line of fact, a blank line, a hint.
 #[track_caller]
 fn assert_fails(output: &Output, fact: &str) {
-    let stderr = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert_eq!(text(&output.stdout), "");
-    let lines: Vec<&str> = stderr.lines().collect();
-    let [error, "", hint] = lines[..] else {
-        panic!("not one fact and one hint:\n{stderr}");
-    };
-    assert!(
-        error.starts_with("error: ") && error.contains(fact),
-        "{error}"
-    );
-    assert!(hint.starts_with("hint: "), "{hint}");
+    assert_eq!(text(&output.stderr).lines().count(), 3);
+    command_support::assert_fails(output, 1, fact, "");
 }
 
 /// The same, with this in the hint.
@@ -320,15 +309,9 @@ fn repeated_homing_measures_what_the_switches_scatter() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("gantry.toml").display().to_string();
     std::fs::write(&file, with_port).unwrap();
-    let output = run(&[
-        "stage",
-        "repeatability",
-        "--rig",
-        &file,
-        "--cycles",
-        "12",
-        "--json",
-    ]);
+    let output = run(&words(&format!(
+        "stage repeatability --rig {file} --cycles 12 --json"
+    )));
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(answer["unit"], "mm");

@@ -6,9 +6,10 @@ use std::io::{PipeReader, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::command_support::{self, stderr};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use mock_devices::grbl::{Fault, GrblConfig, GrblSimulator, Trigger};
@@ -66,12 +67,7 @@ impl Stage {
 }
 
 fn rig(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
-    command
-        .args(arguments)
-        .env_remove("RIG_CONFIG")
-        .env_remove("RUST_BACKTRACE");
-    command
+    command_support::rig(".", arguments)
 }
 
 /// Killed where a test fails.
@@ -403,10 +399,6 @@ fn a_camera_s_program_ends_with_the_program_that_started_it() {
     });
 }
 
-fn text(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
 #[test]
 fn what_a_camera_s_program_leaves_is_named_for_what_it_is() {
     for (script, tmp, fact) in [
@@ -430,7 +422,7 @@ fn what_a_camera_s_program_leaves_is_named_for_what_it_is() {
             .output()
             .unwrap();
         assert_eq!(output.status.code(), Some(1));
-        let said = text(&output);
+        let said = stderr(&output);
         assert!(said.contains(fact), "{script}: {said}");
         assert_eq!(said.contains("TMPDIR"), tmp == "gone", "{said}");
         assert!(files_in(&folder.path().join("tmp")).is_empty(), "{script}");

@@ -7,7 +7,7 @@ use std::process::Output;
 
 use mock_devices::grbl::{Dialect, DialectSimulator};
 
-use crate::command_support;
+use crate::command_support::{self, cases, words};
 
 use command_support::{assert_fails, rig_file_on_port, text};
 
@@ -498,33 +498,15 @@ fn who_answers_on_a_port_is_named() {
         })
         .unwrap()
     };
-    for (report, fact, hint) in [
-        (
-            "@01 0 OK IDLE -- 0",
-            "that is a Zaber device",
-            "driver = \"zaber\"",
-        ),
-        (
-            "echo:Unknown command: \"?\"",
-            "that is a 3D printer's firmware",
-            "this firmware is not supported",
-        ),
-        (
-            "{\"r\":{},\"f\":[1,0,10]}",
-            "that is TinyG",
-            "this firmware is not supported",
-        ),
-        (
-            "Brownout detector was triggered",
-            "its supply voltage falls (\"Brownout",
-            "see to its power supply",
-        ),
-        (
-            "rst:0x10 (RTCWDT_RTC_RESET),boot:0x13",
-            "it restarts instead of answering (\"rst:0x10",
-            "is not that of this board",
-        ),
-    ] {
+    for [report, fact, hint] in cases(
+        r#"
+        @01 0 OK IDLE -- 0 | that is a Zaber device | driver = "zaber"
+        echo:Unknown command: "?" | that is a 3D printer's firmware | this firmware is not supported
+        {"r":{},"f":[1,0,10]} | that is TinyG | this firmware is not supported
+        Brownout detector was triggered | its supply voltage falls ("Brownout | see to its power supply
+        rst:0x10 (RTCWDT_RTC_RESET),boot:0x13 | it restarts instead of answering ("rst:0x10 | is not that of this board
+    "#,
+    ) {
         let simulator = saying(report);
         let (_folder, file) = rig_file(simulator.path());
         let output = run(&["stage", "status", "--rig", &file]);
@@ -595,17 +577,9 @@ fn a_restart_or_a_dark_lamp_is_noticed() {
     );
     let stays_dark = of(&[("M3", &["ok"])]);
     let (_folder, file) = rig_file(stays_dark.path());
-    let lamp = run(&[
-        "stage",
-        "lamp",
-        "0",
-        "--home",
-        "--seconds",
-        "0",
-        "--quiet",
-        "--rig",
-        &file,
-    ]);
+    let lamp = run(&words(&format!(
+        "stage lamp 0 --home --seconds 0 --quiet --rig {file}"
+    )));
     assert_fails(
         &lamp,
         1,
@@ -632,17 +606,9 @@ fn an_alarm_of_a_soft_limit_points_to_the_limits() {
         "{said}"
     );
     // An output that the build lacks.
-    let lamp = run(&[
-        "stage",
-        "lamp",
-        "1",
-        "--home",
-        "--seconds",
-        "0",
-        "--quiet",
-        "--rig",
-        &file,
-    ]);
+    let lamp = run(&words(&format!(
+        "stage lamp 1 --home --seconds 0 --quiet --rig {file}"
+    )));
     let said = text(&lamp.stderr);
     assert!(
         said.contains("error 20") && said.contains("ENABLE_M7"),

@@ -84,103 +84,65 @@ enum Cause {
     PortGone,
 }
 
-struct Row {
-    fault: &'static str,
-    cause: Cause,
-    /// In the order of [`PROTOCOLS`].
-    outcomes: [Outcome; 2],
-}
+/// A fault, its cause, and what comes of it in the order of [`PROTOCOLS`].
+struct Row(&'static str, Cause, [Outcome; 2]);
 
-const fn row(fault: &'static str, cause: Cause, outcomes: [Outcome; 2]) -> Row {
-    Row {
-        fault,
-        cause,
-        outcomes,
-    }
-}
-
-const ROWS: &[Row] = &[
-    row(
-        "one reply is lost",
-        Cause::Line(Damage::Drop, Some(1)),
-        [Outcome::GoesOn; 2],
-    ),
-    row(
-        "no reply any more",
-        Cause::Line(Damage::Drop, None),
-        [Outcome::NoReply; 2],
-    ),
-    row(
-        "replies are slow, within the time-out",
-        Cause::Line(Damage::Delay(Duration::from_millis(40)), None),
-        [Outcome::GoesOn; 2],
-    ),
-    row(
-        "one reply is cut",
-        Cause::Line(Damage::Truncate(2), Some(1)),
-        [Outcome::GoesOn; 2],
-    ),
-    row(
-        "every reply is cut",
-        Cause::Line(Damage::Truncate(2), None),
-        [Outcome::NoReply; 2],
-    ),
-    row(
-        "one reply is garbled",
-        Cause::Line(Damage::Garble, Some(1)),
-        [Outcome::GoesOn; 2],
-    ),
-    row(
-        "every reply is garbled",
-        Cause::Line(Damage::Garble, None),
-        [Outcome::Garbled; 2],
-    ),
-    row(
-        "every reply comes twice",
-        Cause::Line(Damage::Duplicate, None),
-        [Outcome::GoesOn; 2],
-    ),
-    row(
-        "the controller restarts in mid-move",
-        Cause::RestartInMotion,
-        [Outcome::Restarted; 2],
-    ),
-    row(
-        "the firmware raises an alarm in mid-move",
-        Cause::FirmwareAlarm,
-        [Outcome::Alarm, Outcome::None],
-    ),
-    row(
-        "a motor stalls",
-        Cause::Stall,
-        [Outcome::None, Outcome::Alarm],
-    ),
-    row(
-        "steps are lost",
-        Cause::LostSteps,
-        [Outcome::CannotTell, Outcome::Measured],
-    ),
-    row(
-        "the lamp does not light",
-        Cause::DarkLamp,
-        [Outcome::NotSeen, Outcome::NotApplied],
-    ),
-    row(
-        "the port goes away and comes back",
-        Cause::PortGone,
-        [Outcome::Disconnected; 2],
-    ),
-];
+const ROWS: &[Row] = {
+    use Cause::*;
+    use Damage::*;
+    use Outcome::*;
+    &[
+        Row("one reply is lost", Line(Drop, Some(1)), [GoesOn; 2]),
+        Row("no reply any more", Line(Drop, Option::None), [NoReply; 2]),
+        Row(
+            "replies are slow, within the time-out",
+            Line(Delay(Duration::from_millis(40)), Option::None),
+            [GoesOn; 2],
+        ),
+        Row("one reply is cut", Line(Truncate(2), Some(1)), [GoesOn; 2]),
+        Row(
+            "every reply is cut",
+            Line(Truncate(2), Option::None),
+            [NoReply; 2],
+        ),
+        Row("one reply is garbled", Line(Garble, Some(1)), [GoesOn; 2]),
+        Row(
+            "every reply is garbled",
+            Line(Garble, Option::None),
+            [Garbled; 2],
+        ),
+        Row(
+            "every reply comes twice",
+            Line(Duplicate, Option::None),
+            [GoesOn; 2],
+        ),
+        Row(
+            "the controller restarts in mid-move",
+            RestartInMotion,
+            [Restarted; 2],
+        ),
+        Row(
+            "the firmware raises an alarm in mid-move",
+            FirmwareAlarm,
+            [Alarm, Outcome::None],
+        ),
+        Row("a motor stalls", Stall, [Outcome::None, Alarm]),
+        Row("steps are lost", LostSteps, [CannotTell, Measured]),
+        Row("the lamp does not light", DarkLamp, [NotSeen, NotApplied]),
+        Row(
+            "the port goes away and comes back",
+            PortGone,
+            [Disconnected; 2],
+        ),
+    ]
+};
 
 const START: [f64; 2] = [0.0, 80.0];
 const TARGET: [f64; 2] = [60.0, 45.0];
 const REPLY_TIMEOUT: Seconds = Seconds(0.9);
 
 fn angles([azimuth_deg, elevation_deg]: [f64; 2]) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 fn axes(scale: f64) -> TwoAxes {
@@ -326,11 +288,11 @@ fn kind(error: &DeviceError) -> Option<Outcome> {
 }
 
 fn run(row: &Row, protocol: Protocol, expected: Outcome) {
-    let name = format!("{} ({protocol:?})", row.fault);
+    let name = format!("{} ({protocol:?})", row.0);
     let bed = Bed::new(protocol);
     let mut stage = bed.ready();
-    bed.strike(row.cause);
-    if matches!(row.cause, Cause::LostSteps) {
+    bed.strike(row.1);
+    if matches!(row.1, Cause::LostSteps) {
         let check = stage.check_reference().unwrap();
         match expected {
             Outcome::Measured => {
@@ -392,8 +354,8 @@ fn run(row: &Row, protocol: Protocol, expected: Outcome) {
 fn run_all(protocol: Protocol) {
     let column = PROTOCOLS.iter().position(|&p| p == protocol).unwrap();
     for row in ROWS {
-        if row.outcomes[column] != Outcome::None {
-            run(row, protocol, row.outcomes[column]);
+        if row.2[column] != Outcome::None {
+            run(row, protocol, row.2[column]);
         }
     }
 }
@@ -412,8 +374,8 @@ fn zaber() {
 fn the_documented_table_is_this_one() {
     let mut table = "| fault | GRBL | Zaber |\n|---|---|---|\n".to_owned();
     for row in ROWS {
-        let cells = row.outcomes.map(Outcome::words).join(" | ");
-        table += &format!("| {} | {cells} |\n", row.fault);
+        let cells = row.2.map(Outcome::words).join(" | ");
+        table += &format!("| {} | {cells} |\n", row.0);
     }
     let documented = include_str!("../../docs/faults.md");
     assert!(

@@ -29,12 +29,7 @@ use rig::radiance_image::{RadianceImage, exr};
 use rig::units::Seconds;
 
 const SERIAL: &str = "SIM-0001";
-const KEY: FrameKey = FrameKey {
-    light: 0,
-    exposure: 0,
-    repeat: 0,
-    kind: FrameKind::Light,
-};
+const KEY: FrameKey = FrameKey::new(0, 0, 0, FrameKind::Light);
 
 /// Of the frames of a still camera: none has older settings.
 fn at_once(config: &CameraConfig) -> CameraConfig {

@@ -3,6 +3,7 @@
 //! motion afterwards.
 
 use crate::capture_support as support;
+use crate::command_support::words;
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -153,11 +154,9 @@ fn capture(port: &str) -> Exit {
 
 fn start(bench: &SimulatedBench, folder: &Path, defect: &str, reply_s: f64) -> Child {
     Command::new(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "ways_out::the_process_that_is_ended",
-            "--nocapture",
-        ])
+        .args(words(
+            "--exact ways_out::the_process_that_is_ended --nocapture",
+        ))
         .env(PORT, bench.stage_config().port)
         .env(DEFECT, defect)
         .env(REPLY_S, reply_s.to_string())

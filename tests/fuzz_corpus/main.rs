@@ -215,23 +215,9 @@ fn raw_frame(size: [usize; 2], kind: FrameKind, exposure_s: f64) -> (RawFrame, S
         let signal = if kind == FrameKind::Light { lit } else { 0.0 };
         (64.0 + signal + 0.3 * scattered as f64).min(4095.0) as u16
     });
-    let frame = RawFrame {
-        width: width as u32,
-        height: height as u32,
-        counts: counts.collect(),
-        sequence: None,
-        timestamp: None,
-    };
-    let settings = CameraSettings {
-        exposure: Seconds(exposure_s),
-        gain: 1.0,
-    };
-    let key = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind,
-    };
+    let frame = RawFrame::new(width as u32, height as u32, counts.collect());
+    let settings = CameraSettings::new(Seconds(exposure_s), 1.0);
+    let key = FrameKey::new(0, 0, 0, kind);
     let lamp = match kind {
         FrameKind::Light => LampState::On(LampChannel(0)),
         _ => LampState::Off,

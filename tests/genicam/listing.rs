@@ -79,10 +79,7 @@ fn aravis_own_fake_camera_is_set_and_gives_frames() {
         for exposure_s in [0.01, 0.02] {
             let exposure = Seconds(exposure_s);
             let applied = camera
-                .configure(CameraSettings {
-                    exposure,
-                    gain: 1.0,
-                })
+                .configure(CameraSettings::new(exposure, 1.0))
                 .unwrap();
             assert!((applied.exposure.0 - exposure_s).abs() < 1e-6);
             let frame = camera.grab(KEY).unwrap();

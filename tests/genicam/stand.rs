@@ -21,12 +21,7 @@ use crate::support::workplace;
 
 /// The serial number that the records of the small bench's sensor have.
 pub const SERIAL: &str = "SIM-0001";
-pub const KEY: FrameKey = FrameKey {
-    light: 0,
-    exposure: 0,
-    repeat: 0,
-    kind: FrameKind::Light,
-};
+pub const KEY: FrameKey = FrameKey::new(0, 0, 0, FrameKind::Light);
 
 type Action = Box<dyn FnOnce() + Send>;
 

@@ -1,7 +1,7 @@
 //! The figures of EMVA 1288 against the simulated sensor's true ones.
 
 use mock_devices::sensor::SensorConfig;
-use rig::calibration::procedure::{Bench, ProcedureOptions};
+use rig::calibration::procedure::{LitCamera, ProcedureOptions};
 use rig::calibration::record::Measured;
 use rig::calibration::sensor::{PhotonTransfer, SensorFit};
 use rig::device::even_light::EvenLight;
@@ -18,7 +18,7 @@ fn transfer_and_fit(camera: &mut EvenLight) -> (PhotonTransfer, SensorFit) {
     let bit_depth = camera.info().bit_depth;
     let width = camera.info().resolution_px[0] as usize;
     let options = ProcedureOptions::default();
-    let transfer = Bench::new(camera, options, &mut |_| false, &mut || {}).photon_transfer();
+    let transfer = LitCamera::new(camera, options, &mut |_| false, &mut || {}).photon_transfer();
     let transfer = transfer.unwrap();
     let fit = transfer.solve(width, bit_depth).unwrap();
     (transfer, fit)

@@ -2,6 +2,7 @@
 //! noise, rounding and clipping, written here from EMVA 1288 and sharing no
 //! code with the library's noise model. `--nocapture` prints the figures.
 
+use crate::command_support::words;
 use nalgebra::{DMatrix, DVector};
 use rig::radiometry::merge::{BracketMerge, FrameRole};
 use rig::radiometry::mosaic::Mosaic;
@@ -554,26 +555,15 @@ fn shipped_records_come_from_the_procedure() {
     let folder = tempfile::tempdir().unwrap();
     for arguments in [
         &["sensor", "--frames", "8"][..],
-        &[
-            "flat",
-            "--frames",
-            "64",
-            "--radiance",
-            "0.4",
-            "--radiance-std",
-            "0.001",
-        ],
+        &words("flat --frames 64 --radiance 0.4 --radiance-std 0.001"),
     ] {
         rig()
             .current_dir(root)
             .arg("calibrate")
             .args(arguments)
-            .args([
-                "--rig",
-                "rig-configs/simulated.toml",
-                "--date",
-                "2026-11-21T02:00:00Z",
-            ])
+            .args(words(
+                "--rig rig-configs/simulated.toml --date 2026-11-21T02:00:00Z",
+            ))
             .arg("--out")
             .arg(folder.path())
             .assert()
@@ -630,21 +620,8 @@ fn the_merge_command_makes_radiance_of_png_frames() {
     }
     rig()
         .current_dir(&folder)
-        .args([
-            "merge",
-            "short.png",
-            "long.png",
-            "--exposures",
-            "exposures.csv",
-        ])
-        .args([
-            "--gain",
-            "0.4",
-            "--read-noise",
-            "2.5",
-            "--black-level",
-            "64",
-        ])
+        .args(words("merge short.png long.png --exposures exposures.csv"))
+        .args(words("--gain 0.4 --read-noise 2.5 --black-level 64"))
         .args(["--bit-depth", "12", "--out", "out.exr"])
         .assert()
         .success()

@@ -96,10 +96,7 @@ fn the_shipped_truth_errs_by_less_than_a_third_of_the_sensors_noise() {
     let rig = RigConfig::parse("simulated", Path::new(""), BUILT_IN[0].1).unwrap();
     let (simulation, geometry) = (rig.simulation.as_ref().unwrap(), &rig.geometry);
     let source = rig.truth().unwrap().unwrap();
-    let at = StageAngles {
-        azimuth_deg: 20.043,
-        elevation_deg: 61.748,
-    };
+    let at = StageAngles::new(20.043, 61.748);
     let radiance = source.radiance(&lit(at));
     let brdf = simulation.material.load().unwrap();
     let (surface, shading) = (&geometry.sample.surface, geometry.sample.shading);
@@ -173,10 +170,7 @@ fn interpolated_interreflection_is_that_of_paths_from_every_pixel() {
             segments: 128,
         },
     ];
-    let at = StageAngles {
-        azimuth_deg: 30.02,
-        elevation_deg: 70.03,
-    };
+    let at = StageAngles::new(30.02, 70.03);
     let lamp = |angles: StageAngles| Light::Directional {
         to_light: angles.to_light(),
         irradiance: [1.0; 3],

@@ -96,10 +96,7 @@ pub struct Bench(pub Arc<Mutex<World>>);
 
 impl Bench {
     pub fn new() -> Self {
-        let settings = CameraSettings {
-            exposure: Seconds(1.0),
-            gain: 1.0,
-        };
+        let settings = CameraSettings::new(Seconds(1.0), 1.0);
         Self(Arc::new(Mutex::new(World {
             position: None,
             lamp: LampState::Off,
@@ -234,10 +231,7 @@ impl LightStage for Stage {
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
         let mut world = self.0.world();
         world.homings += 1;
-        world.position = Some(StageAngles {
-            azimuth_deg: 0.0,
-            elevation_deg: 0.0,
-        });
+        world.position = Some(StageAngles::new(0.0, 0.0));
         Ok(StageStatus {
             activity: StageActivity::Idle,
             position: world.position,
@@ -540,17 +534,9 @@ pub fn noise() -> SensorNoise {
 const PILOT: Seconds = Seconds(0.01);
 
 pub fn record() -> SessionRecord {
-    let at = |azimuth_deg, elevation_deg| StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    };
-    SessionRecord {
+    let mut record = SessionRecord {
         sample: "sphere".into(),
-        created_utc: "2026-11-21T02:34:00Z".into(),
-        simulated: true,
         true_material: None,
-        material: None,
-        comment: None,
         seed: 1,
         rig: "memory".into(),
         config: String::new(),
@@ -559,35 +545,18 @@ pub fn record() -> SessionRecord {
             camera: camera_info(),
             stage: stage_info(),
         },
-        plan: PlanRecord {
-            channels: vec![LampChannel(0), LampChannel(1)],
-            gain: 1.0,
-            exposure: ExposureRules {
-                pilot_s: PILOT,
-                shortest_s: Seconds(1e-4),
-                longest_s: Seconds(1.0),
-                step_s: Seconds(1e-4),
-                peak_fraction: 0.7,
-                dark_snr: 20.0,
-                ratio: 4.0,
-                max_frames: 4,
-                ambient: true,
-                dark_frames: 1,
-            },
-            settle_s: Seconds(0.0),
-            lamp_settle_s: Seconds(0.0),
-            lamp_warm_up_s: Seconds(0.0),
-            settings_latency_frames: LATENCY,
-            revisit_first: false,
-            stage_tolerance_deg: 0.0,
-            limits: Default::default(),
-            estimated_s: Seconds(10.0),
-            estimated_bytes: 1000,
-            estimated_files: 0,
-            lights: vec![at(0.0, 90.0), at(40.0, 35.0)],
-        },
-        calibration: vec![],
-    }
+        ..example::record()
+    };
+    let plan = &mut record.plan;
+    plan.channels = vec![LampChannel(0), LampChannel(1)];
+    plan.exposure.pilot_s = PILOT;
+    plan.exposure.shortest_s = Seconds(1e-4);
+    plan.exposure.dark_frames = 1;
+    plan.settle_s = Seconds(0.0);
+    plan.settings_latency_frames = LATENCY;
+    plan.estimated_s = Seconds(10.0);
+    plan.lights = vec![StageAngles::new(0.0, 90.0), StageAngles::new(40.0, 35.0)];
+    record
 }
 
 /// One light, one lamp channel, no averaging: as few frames as a capture has.

@@ -79,9 +79,59 @@ pub fn rig(folder: impl AsRef<Path>, arguments: &[&str]) -> Command {
     command
 }
 
+/// The words of a command line, none of which holds a blank.
+pub fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace().collect()
+}
+
+/// The cases of a table, one a line, with `|` between their columns.
+pub fn cases<const N: usize>(table: &str) -> impl Iterator<Item = [&str; N]> {
+    table.trim().lines().map(|case| {
+        let columns: Vec<_> = case.split('|').map(str::trim).collect();
+        columns
+            .try_into()
+            .unwrap_or_else(|_| panic!("{N} columns: {case}"))
+    })
+}
+
+/// A small scene that renders.
+pub const SCENE: &str = r#"
+[camera]
+model = "orthographic"
+resolution_px = [8, 8]
+extent_mm = [2.2, 2.2]
+position_mm = [0.0, 0.0, 5.0]
+
+[[light]]
+kind = "directional"
+to_light = [0.0, 0.0, 1.0]
+
+[sample]
+shape = { kind = "bowl", radius_mm = 1.0, segments = 16 }
+
+[brdf]
+mixture = [ { weight = 1.0, lambertian = { albedo = 0.5 } } ]
+"#;
+
 /// Likewise, run to its end.
 pub fn run(folder: impl AsRef<Path>, arguments: &[&str]) -> Output {
     rig(folder.as_ref(), arguments).output().unwrap()
+}
+
+/// Likewise, of a line whose words hold no blank.
+pub fn run_line(folder: impl AsRef<Path>, line: &str) -> Output {
+    run(folder, &words(line))
+}
+
+/// Exit code, stdout, stderr.
+pub fn ended(output: &Output) -> (i32, String, String) {
+    let code = output.status.code().unwrap_or(-1);
+    (code, text(&output.stdout), text(&output.stderr))
+}
+
+/// What the program said on stderr.
+pub fn stderr(output: &Output) -> String {
+    text(&output.stderr)
 }
 
 /// The output of a command that must succeed.

@@ -10,19 +10,15 @@ use std::sync::Arc;
 
 use rig::brdf::{Dictionary, Mixture};
 use rig::config::BUILT_IN;
-use rig::device::{
-    CameraInfo, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, Mosaic, RawFrame,
-    StageInfo,
-};
+use rig::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, RawFrame};
 use rig::session::commit::SystemDisk;
 use rig::session::fit_record::{
     self, AngleTable, BudgetRecord, BudgetRow, FitImages, FitRecord, Interval,
 };
 use rig::session::{
-    CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, SessionRecord, SessionWriter,
-    Sidecar, Versions,
+    CalibrationCopy, Event, NewSession, SessionRecord, SessionWriter, Sidecar, example,
 };
-use rig::units::{Seconds, StageAngles};
+use rig::units::Seconds;
 
 /// A lab that states everything.
 pub const LAB: &str = r#"
@@ -128,23 +124,9 @@ pub fn session(parent: &Path, fit: &FitRecord, lab: &str, complete: bool) -> Pat
             elevation_deg: 80.0,
         })
         .unwrap();
-    let key = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind: FrameKind::Light,
-    };
-    let settings = CameraSettings {
-        exposure: Seconds(0.004),
-        gain: 1.0,
-    };
-    let raw = RawFrame {
-        width: 4,
-        height: 3,
-        counts: vec![100; 12],
-        sequence: None,
-        timestamp: None,
-    };
+    let key = FrameKey::new(0, 0, 0, FrameKind::Light);
+    let settings = CameraSettings::new(Seconds(0.004), 1.0);
+    let raw = RawFrame::new(4, 3, vec![100; 12]);
     let sidecar = Sidecar::of_frame(key, LampState::On(LampChannel(0)), settings);
     writer.commit_frame(&raw, &sidecar).unwrap();
     writer.record(Event::LightStop { light: 0 }).unwrap();
@@ -158,69 +140,23 @@ pub fn session(parent: &Path, fit: &FitRecord, lab: &str, complete: bool) -> Pat
 fn record(simulated: bool, lab: &str) -> SessionRecord {
     let (_, rig) = BUILT_IN[0];
     let rig = rig.replace("\n[lab]\n", "\n");
-    SessionRecord {
+    let mut record = SessionRecord {
         sample: "red-plastic".to_owned(),
         material: Some("red paint, batch 12".to_owned()),
-        comment: None,
-        created_utc: "2026-11-21T02:34:00Z".to_owned(),
         simulated,
         true_material: None,
-        seed: 7,
-        rig: "simulated".to_owned(),
         config: format!("{rig}\n{lab}"),
-        versions: Versions {
-            rig: "0.2.0".to_owned(),
-            camera: CameraInfo {
-                driver: "v4l".to_owned(),
-                model: "bench".to_owned(),
-                serial: "s-17".to_owned(),
-                resolution_px: [4, 3],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(1e-4), Seconds(1.0)],
-                exposure_step: Seconds(1e-4),
-            },
-            stage: StageInfo {
-                driver: "grbl".to_owned(),
-                firmware: "1.1h".to_owned(),
-                port: "/dev/x".to_owned(),
-                has_watchdog: false,
-            },
-        },
-        plan: PlanRecord {
-            channels: vec![LampChannel(0)],
-            gain: 1.0,
-            exposure: ExposureRules {
-                pilot_s: Seconds(0.002),
-                shortest_s: Seconds(0.001),
-                longest_s: Seconds(1.0),
-                step_s: Seconds(0.0001),
-                peak_fraction: 0.7,
-                dark_snr: 20.0,
-                ratio: 4.0,
-                max_frames: 4,
-                ambient: true,
-                dark_frames: 2,
-            },
-            settle_s: Seconds(0.1),
-            lamp_settle_s: Seconds(0.0),
-            lamp_warm_up_s: Seconds(0.0),
-            settings_latency_frames: 2,
-            revisit_first: false,
-            stage_tolerance_deg: 0.0,
-            limits: Default::default(),
-            estimated_s: Seconds(12.0),
-            estimated_bytes: 1000,
-            estimated_files: 0,
-            lights: vec![StageAngles {
-                azimuth_deg: 10.0,
-                elevation_deg: 80.0,
-            }],
-        },
         calibration: vec![CalibrationCopy {
             id: "lights/20261101T100000Z-lights".to_owned(),
             file: "calibration/lights/20261101T100000Z-lights.toml".to_owned(),
             sha256: rig::checksum::sha256_hex(LIGHTS.as_bytes()),
         }],
-    }
+        ..example::record()
+    };
+    record.versions.rig = "0.2.0".to_owned();
+    let camera = &mut record.versions.camera;
+    let [driver, model, serial] = ["v4l", "bench", "s-17"].map(str::to_owned);
+    (camera.driver, camera.model, camera.serial) = (driver, model, serial);
+    record.plan.lights.truncate(1);
+    record
 }

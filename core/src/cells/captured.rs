@@ -36,39 +36,24 @@ pub struct CellImage {
 
 /// Images that cannot be those of a scene.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum AverageError {
-    /// Numbers of images and lights differ.
     #[error("{images} images for {lights} lights of the scene")]
-    ImageCount {
-        /// Images given.
-        images: usize,
-        /// Lights of the scene.
-        lights: usize,
-    },
-    /// More lights than can be fitted together.
+    ImageCount { images: usize, lights: usize },
     #[error("{lights} lights; at most {MAX_LIGHTS} can be fitted together")]
-    TooManyLights {
-        /// Lights of the scene.
-        lights: usize,
-    },
-    /// An image does not have the camera's size.
+    TooManyLights { lights: usize },
     #[error(
         "image {image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1]
     )]
     ImageSize {
-        /// Index of the image.
         image: usize,
-        /// Its width.
         width: usize,
-        /// Its height.
         height: usize,
         /// The camera's width and height.
         expected: [usize; 2],
     },
-    /// No part of the sample is seen away from edges.
     #[error("no part of the sample is seen away from its edges")]
     NothingSeen,
-    /// Nothing of an image can be compared.
     #[error("no cell of image {image} has enough valid pixels on the sample")]
     NothingValid {
         /// Index of the image with the fewest valid pixels.

@@ -20,7 +20,6 @@ const SHOWN_ITEMS: usize = 8;
 pub(super) struct Node {
     /// Line, from 1.
     pub line: usize,
-    /// The value.
     pub value: Value,
 }
 
@@ -44,7 +43,6 @@ pub(super) struct Fault {
     pub line: usize,
     /// Character of the line, from 1.
     pub column: usize,
-    /// What is wrong.
     pub problem: String,
     /// What made it so, where that is known.
     pub slip: Option<Slip>,

@@ -7,25 +7,21 @@ use crate::shown::excerpt;
 
 /// A file that cannot be used, and exactly where and why.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("{}: {source}", file.display())]
     Read {
-        /// Path as it was given.
         file: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
-    /// Not a TOML document.
     #[error("{file}:{line}:{column}: not valid TOML: {problem}")]
     Syntax {
-        /// Path or name of the file.
         file: String,
         /// Line, from 1.
         line: usize,
         /// Character of the line, from 1.
         column: usize,
-        /// What is wrong there.
         problem: String,
         /// What made it so, where that is known.
         slip: Option<Slip>,
@@ -36,39 +32,27 @@ pub enum ConfigError {
         excerpt(key)
     )]
     ControlCharacter {
-        /// Path or name of the file.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// Dotted path of the key.
         key: String,
-        /// The value, with escape sequences, shortened.
         value: String,
-        /// The character, in words.
         character: &'static str,
     },
-    /// A key that means nothing here.
     #[error("{file}:{line}: unknown key `{}`; known here: {}", excerpt(key), known.join(", "))]
     UnknownKey {
-        /// Path or name of the file.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// Dotted path of the key.
         key: String,
-        /// The keys that this table may have.
         known: Vec<String>,
     },
-    /// A key that must be there is not.
     #[error("{file}:{line}: `{key}` is missing; it must be {allowed}")]
     Missing {
-        /// Path or name of the file.
         file: String,
         /// Line of the table it belongs to, from 1.
         line: usize,
-        /// Dotted path of the key.
         key: String,
-        /// What may stand there.
         allowed: String,
         /// Keys that are there and that nobody has asked for so far.
         unread: Vec<String>,
@@ -76,29 +60,16 @@ pub enum ConfigError {
     /// A value of the wrong type or outside its range.
     #[error("{file}:{line}: `{}` is {value}, but must be {allowed}", excerpt(key))]
     Invalid {
-        /// Path or name of the file.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// Dotted path of the key.
         key: String,
-        /// The value as written, shortened.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
-    /// No rig of this name.
     #[error("there is no rig named {name:?}; known: {}", known.join(", "))]
-    UnknownRig {
-        /// The name.
-        name: String,
-        /// The names that exist.
-        known: Vec<String>,
-    },
+    UnknownRig { name: String, known: Vec<String> },
     /// No rig was named, and the simulated one would stand in for real hardware.
     #[error("no rig is configured, and real hardware is connected: {}", devices.join(", "))]
-    FallbackRefused {
-        /// The devices found.
-        devices: Vec<String>,
-    },
+    FallbackRefused { devices: Vec<String> },
 }

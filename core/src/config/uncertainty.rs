@@ -17,49 +17,34 @@ struct Key {
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
+const fn key(
+    name: &'static str,
+    most: f64,
+    unit: f64,
+    place: fn(&mut BenchPriors) -> &mut f64,
+) -> Key {
+    Key {
+        name,
+        range: 0.0..=most,
+        unit,
+        place,
+    }
+}
+
 const KEYS: [Key; 7] = [
-    Key {
-        name: "light_deg",
-        range: 0.0..=5.0,
-        unit: DEGREE,
-        place: |priors| &mut priors.light_rad,
-    },
-    Key {
-        name: "stage_deg",
-        range: 0.0..=5.0,
-        unit: DEGREE,
-        place: |priors| &mut priors.stage_rad,
-    },
-    Key {
-        name: "intensity",
-        range: 0.0..=0.5,
-        unit: 1.0,
-        place: |priors| &mut priors.intensity,
-    },
-    Key {
-        name: "common_intensity",
-        range: 0.0..=2.0,
-        unit: 1.0,
-        place: |priors| &mut priors.common_intensity,
-    },
-    Key {
-        name: "rotation_deg",
-        range: 0.0..=5.0,
-        unit: DEGREE,
-        place: |priors| &mut priors.rotation_rad,
-    },
-    Key {
-        name: "translation_mm",
-        range: 0.0..=10.0,
-        unit: 1.0,
-        place: |priors| &mut priors.translation_mm,
-    },
-    Key {
-        name: "stray_light",
-        range: 0.0..=1e9,
-        unit: 1.0,
-        place: |priors| &mut priors.stray_light,
-    },
+    key("light_deg", 5.0, DEGREE, |priors| &mut priors.light_rad),
+    key("stage_deg", 5.0, DEGREE, |priors| &mut priors.stage_rad),
+    key("intensity", 0.5, 1.0, |priors| &mut priors.intensity),
+    key("common_intensity", 2.0, 1.0, |priors| {
+        &mut priors.common_intensity
+    }),
+    key("rotation_deg", 5.0, DEGREE, |priors| {
+        &mut priors.rotation_rad
+    }),
+    key("translation_mm", 10.0, 1.0, |priors| {
+        &mut priors.translation_mm
+    }),
+    key("stray_light", 1e9, 1.0, |priors| &mut priors.stray_light),
 ];
 
 /// Reads the table; what it doesn't say is as in [`BenchPriors::default`].

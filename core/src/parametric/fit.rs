@@ -23,7 +23,7 @@ pub enum FitError {
 /// A model's nearest material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fitted {
-    /// Whose conventions.
+    /// The model whose parameters these are.
     pub model: Model,
     /// The parameters.
     pub parameters: Parameters,

@@ -37,10 +37,9 @@ pub struct Loss {
 
 /// A half and a difference angle at which the model is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[allow(missing_docs)]
 pub struct WorstAngle {
-    /// Half angle, degrees.
     pub theta_h_deg: f64,
-    /// Difference angle, degrees.
     pub theta_d_deg: f64,
     /// f of the model over f of the material, less 1, both averaged over azimuth and channels.
     pub relative: f64,
@@ -48,12 +47,11 @@ pub struct WorstAngle {
 
 /// Light reflected of light from one direction.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[allow(missing_docs)]
 pub struct AlbedoPair {
     /// Angle of incidence, degrees.
     pub theta_deg: f64,
-    /// Of the model.
     pub model: f64,
-    /// Of the material.
     pub material: f64,
 }
 

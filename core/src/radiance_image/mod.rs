@@ -29,10 +29,9 @@ pub const CHANNEL_NAMES: [&str; 3] = ["red", "green", "blue"];
 /// # Ok::<(), rig_core::radiance_image::exr::ExrError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct RadianceImage {
-    /// Pixels per row.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Mean radiance per pixel, R, G, B. Negative values are kept.
     pub mean: Vec<[f32; 3]>,

@@ -12,41 +12,22 @@ use rustix::io::Errno;
 
 /// Why a file below a folder was not opened or read; facts only.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BeneathError {
     /// Its path has something else than plain names.
     #[error("{path:?} is no path below the folder")]
-    Path {
-        /// As it was given.
-        path: String,
-    },
-    /// It, or a folder on the way to it, is a symbolic link.
+    Path { path: String },
     #[error("{}: it is a symbolic link, which is not followed", path.display())]
-    Link {
-        /// The link.
-        path: PathBuf,
-    },
+    Link { path: PathBuf },
     /// It is a folder, a pipe, a device.
     #[error("{}: it is no regular file", path.display())]
-    NoFile {
-        /// What it is.
-        path: PathBuf,
-    },
+    NoFile { path: PathBuf },
     /// It is larger than anything of its kind.
     #[error("{}: it has more than {most_bytes} bytes", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// How many are read.
-        most_bytes: u64,
-    },
+    TooLarge { path: PathBuf, most_bytes: u64 },
     /// The system refuses.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 impl BeneathError {

@@ -8,10 +8,9 @@ use serde::Serialize;
 
 /// A fact with its advice.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[allow(missing_docs)]
 pub struct Fault {
-    /// What is the case.
     pub error: String,
-    /// What to do about it.
     pub hint: Option<String>,
 }
 

@@ -18,6 +18,7 @@ pub mod capture;
 pub mod catalogue;
 pub mod checksum;
 pub mod config;
+pub mod doctor;
 pub mod fault;
 #[cfg(feature = "figures")]
 pub mod plot;
@@ -27,3 +28,4 @@ pub mod session;
 pub mod shell_words;
 pub mod simulation;
 pub mod workflow;
+pub mod write_queue;

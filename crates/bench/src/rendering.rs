@@ -65,6 +65,7 @@ impl RenderRequest {
 
 /// Why nothing was rendered.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum RenderError {
     /// The scene file.
     #[error(transparent)]
@@ -72,24 +73,15 @@ pub enum RenderError {
     /// What the scene file describes.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The file has no `[brdf]`.
     #[error("{}: [brdf] is missing", path.display())]
-    NoBrdf {
-        /// The file.
-        path: PathBuf,
-    },
+    NoBrdf { path: PathBuf },
     /// The fit.
     #[error(transparent)]
     Fit(#[from] FitRecordError),
-    /// A deviation of a material that is no fit.
     #[error("the material is no fit, so that no posterior samples say how sure it is")]
     NoFit,
-    /// A fit without samples.
     #[error("{} has no posterior samples: it drew none, or an earlier version made it", fit.display())]
-    NoSamples {
-        /// Its folder.
-        fit: PathBuf,
-    },
+    NoSamples { fit: PathBuf },
     /// The BRDF could not be loaded.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
@@ -102,10 +94,9 @@ pub enum RenderError {
 }
 
 /// A scene that is ready to be rendered.
+#[allow(missing_docs)]
 pub struct Rendering {
-    /// The file.
     pub file: SceneFile,
-    /// The scene.
     pub scene: Scene,
     /// Facets that are too coarse for the material's highlight.
     pub coarse_facets: Option<CoarseFacets>,

@@ -6,8 +6,8 @@
 #[cfg(feature = "figures")]
 use rig_bench::plot;
 #[cfg(feature = "reports")]
-use rig_bench::{calibration, catalogue, config, fault, queue};
-use rig_bench::{checksum, session, shell_words, workflow};
+use rig_bench::{calibration, config, queue};
+use rig_bench::{catalogue, checksum, fault, session, shell_words, workflow};
 use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
 #[cfg(feature = "reports")]
 use rig_core::{inverse, radiance_image, transport, units};

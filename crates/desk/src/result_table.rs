@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+use crate::catalogue;
+use crate::fault::Fault;
+use crate::session::fit_record::Verdict;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
@@ -202,6 +205,44 @@ impl Table {
         let bytes = writer.into_inner().unwrap_or_default();
         String::from_utf8(bytes).unwrap_or_default()
     }
+}
+
+/// A session of a catalogue; the figures are those of its latest fit.
+pub fn of_session(row: &catalogue::Row) -> Row {
+    let text = |text: &Option<String>| text.clone().unwrap_or_default();
+    let yes = |is| if is { "yes" } else { "no" };
+    let fit = row.latest();
+    let fault = |fault: &Option<Fault>| fault.as_ref().map(|fault| fault.error.clone());
+    let fit_fault = fit.and_then(|fit| fault(&fit.error));
+    Row::new()
+        .with("session", row.name.as_str())
+        .with("sample", text(&row.sample))
+        .with("material", text(&row.material))
+        .with("true_material", text(&row.true_material))
+        .with("comment", text(&row.comment))
+        .with("began_utc", text(&row.began))
+        .with("lights", row.lights)
+        .with("lights_finished", row.lights_finished)
+        .with("frames", row.frames)
+        .with("bytes", row.bytes)
+        .with("complete", yes(row.complete))
+        .with("simulated", yes(row.simulated))
+        .with("suspect", yes(row.suspect))
+        .with("fit", fit.map_or("", |fit| &fit.name))
+        .with(
+            "dictionary",
+            fit.map_or(String::new(), |fit| text(&fit.dictionary)),
+        )
+        .with(
+            "verdict",
+            fit.and_then(|fit| fit.verdict).map_or("", Verdict::name),
+        )
+        .with("worst_chi2", fit.and_then(|fit| fit.chi2))
+        .with(
+            "environment_error",
+            fit.and_then(|fit| fit.environment_error),
+        )
+        .with("error", fault(&row.error).or(fit_fault).unwrap_or_default())
 }
 
 #[cfg(test)]

@@ -3,6 +3,8 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// What asked the program to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,6 +94,52 @@ impl Interrupt {
     /// The latest signal, once there was one.
     pub fn signal(&self) -> Option<Signal> {
         Signal::from_number(self.latest.load(Ordering::SeqCst))
+    }
+
+    /// Has a thread look at the requests every [`LOOK`], until what is returned is dropped.
+    ///
+    /// # Errors
+    /// No thread can be had.
+    pub fn watch(
+        &self,
+        mut look: impl FnMut(&Interrupt) + Send + 'static,
+    ) -> std::io::Result<Watching> {
+        let interrupt = self.clone();
+        let over = Arc::new(AtomicBool::new(false));
+        let is_over = Arc::clone(&over);
+        let thread = std::thread::Builder::new()
+            .name("watching signals".into())
+            .spawn(move || {
+                while !is_over.load(Ordering::SeqCst) {
+                    look(&interrupt);
+                    std::thread::sleep(LOOK);
+                }
+            })?;
+        Ok(Watching {
+            over,
+            thread: Some(thread),
+        })
+    }
+}
+
+/// How often requests are looked at.
+pub const LOOK: Duration = Duration::from_millis(20);
+
+/// As long as it lives, requests are looked at.
+#[must_use]
+pub struct Watching {
+    over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Watching {
+    /// Afterwards nobody looks any more.
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::SeqCst);
+        if let Some(thread) = self.thread.take() {
+            // It does not panic; if it did, nothing would depend on it either.
+            drop(thread.join());
+        }
     }
 }
 

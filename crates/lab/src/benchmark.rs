@@ -25,21 +25,16 @@ use crate::transport::{
 
 /// Why nothing was measured.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BenchmarkError {
     /// The threads could not be started.
     #[error("{threads} threads: {source}")]
     Threads {
-        /// How many.
         threads: usize,
-        /// The reason.
         source: rayon::ThreadPoolBuildError,
     },
-    /// No case has the wanted text in its name.
     #[error("no case's name holds \"{only}\"")]
-    NoCase {
-        /// The text.
-        only: String,
-    },
+    NoCase { only: String },
     /// The case's mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),

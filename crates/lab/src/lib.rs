@@ -3,7 +3,7 @@
 //! Part of `rig`, whose library re-exports these modules.
 
 #[cfg(feature = "experiments")]
-use rig_bench::{calibration, capture, checksum, config, plot, simulation};
+use rig_bench::{calibration, capture, checksum, config, plot, simulation, workflow};
 use rig_core::{bench_priors, brdf, cells, frames, geometry, inverse, random, transport};
 #[cfg(feature = "experiments")]
 use rig_core::{file_system, outside_file, radiance_image, simplex, statistics, units, whole_file};
@@ -15,3 +15,5 @@ use rig_device::{device, radiometry};
 pub mod benchmark;
 #[cfg(feature = "experiments")]
 pub mod evaluate;
+#[cfg(feature = "experiments")]
+pub mod job_array;

@@ -8,6 +8,7 @@ use std::path::Path;
 
 /// What it reports. Lines are without their ends.
 #[derive(Clone, Debug)]
+#[allow(missing_docs)]
 pub struct Dialect {
     /// At its start.
     pub banner: &'static [&'static str],
@@ -24,7 +25,6 @@ pub struct Dialect {
     pub outputs: &'static str,
     /// The state when it is connected.
     pub state: &'static str,
-    /// The state after a reset.
     pub state_after_reset: &'static str,
     /// Beginnings of lines, and what is answered to them instead.
     pub refusals: &'static [(&'static str, &'static [&'static str])],
@@ -32,7 +32,6 @@ pub struct Dialect {
     pub echoes: bool,
     /// Whether lines are read at all: GRBL reads none while its door is open.
     pub reads_lines: bool,
-    /// What ends a line.
     pub line_end: &'static str,
 }
 

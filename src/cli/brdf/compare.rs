@@ -2,9 +2,10 @@
 
 use clap::Args;
 
-use super::{SCORE_HEADER, SPEC_HELP, advise, print_scores, score_line, sphere_size};
+use super::{SCORE_HEADER, SPEC_HELP, advise, print_scores, score_line};
 use crate::brdf::plain_error::{AlbedoError, PeakError};
 use crate::brdf::score;
+use crate::cli::number::within;
 use crate::cli::output::write_json;
 use crate::cli::{CliError, HintExt};
 use crate::material::{self, Named};
@@ -22,7 +23,7 @@ pub struct CompareArgs {
     #[arg(long)]
     constrained: bool,
     /// Pixels per side of the spheres, 8 to 512; published figures use 128
-    #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
+    #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = within(8usize, 512))]
     size: usize,
     /// JSON instead of a table
     #[arg(long)]

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::{SPEC_HELP, advise, sphere_size};
+use super::{SPEC_HELP, advise};
+use crate::cli::number::within;
 use crate::cli::output::{ANOTHER_FILE, check_ending, write_path};
 use crate::cli::{CliError, HintExt};
 use crate::material;
@@ -39,7 +40,7 @@ pub struct PlotArgs {
     #[arg(long, value_parser = channel_letters)]
     channels: Option<String>,
     /// Pixels per side of each sphere, 8 to 512
-    #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = sphere_size)]
+    #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = within(8usize, 512))]
     size: usize,
 }
 

@@ -1,18 +1,15 @@
 //! `rig calibrate focus`: how sharp the camera is over the sample's depth.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use super::target::CommonArgs;
-#[cfg(feature = "figures")]
-use super::target::noted;
+use super::target::{self, CommonArgs, noted};
 use super::white::parse_region;
+use crate::calibrating::{CalibratingError, EdgesRequest};
 use crate::calibration::depth_of_field;
-use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::slanted_edge::{EdgeError, FocusRequest, check_counts, measure};
+use crate::calibration::slanted_edge::EdgeError;
 use crate::calibration::white::Region;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context};
-use crate::radiance_image::{RadianceImage, exr};
-use crate::workflow::session_images;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct FocusArgs {
@@ -23,10 +20,10 @@ pub(super) struct FocusArgs {
     #[arg(value_name = "EXR|SESSION", required = true)]
     input: Vec<PathBuf>,
     /// Heights of the edges above the sample's datum, in the order of the images (mm)
-    #[arg(long, value_name = "MM,...", value_delimiter = ',', required = true, allow_hyphen_values = true, value_parser = height)]
+    #[arg(long, value_name = "MM,...", value_delimiter = ',', required = true, allow_hyphen_values = true, value_parser = within(-1e4, 1e4))]
     heights: Vec<f64>,
     /// Standard uncertainty that all heights share (mm)
-    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = height_std)]
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = within(0.0, 100.0))]
     height_std: f64,
     /// Where the edge is in the image (pixels; default: all of it); once for all images, or
     /// once for each height
@@ -37,64 +34,23 @@ pub(super) struct FocusArgs {
     light: usize,
 }
 
-fn height(text: &str) -> Result<f64, String> {
-    within(text, -1e4..=1e4)
-}
-
-fn height_std(text: &str) -> Result<f64, String> {
-    within(text, 0.0..=100.0)
-}
-
-fn within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
-    let value: f64 = text.trim().parse().map_err(|_| "not a number".to_owned())?;
-    if range.contains(&value) {
-        Ok(value)
-    } else {
-        Err(format!("not in {} to {}", range.start(), range.end()))
-    }
-}
-
 pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
-    let wanted = args.heights.len();
-    check_counts(args.input.len(), args.region.len(), wanted).map_err(advised)?;
     let rig = args.common.rig.resolve(context)?;
-    let camera = rig.config.geometry.image_camera();
-    let mut images = Vec::new();
-    for path in &args.input {
-        images.push(Grey::of(&read(path, args.light, &rig.config.name)?));
-    }
-    // Edges and lens.
-    let request = FocusRequest {
-        images: &images,
+    let request = EdgesRequest {
+        rig: &rig.config,
+        input: &args.input,
+        light: args.light,
         regions: &args.region,
         heights_mm: &args.heights,
         height_std_mm: args.height_std,
-        camera: &camera,
-        cell_px: rig.config.geometry.cell_px,
     };
-    #[cfg_attr(
-        not(feature = "figures"),
-        expect(unused_variables, reason = "drawn alone")
-    )]
-    let (edges, found, values) = measure(&request).map_err(advised)?;
-    // The record.
-    let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
+    let measured = request.measure().map_err(|error| match error {
+        CalibratingError::Focus(error) => advised(error),
+        error => target::advised(error),
+    })?;
     let place = args.common.place(&rig, context)?;
-    let place = place.measured_from(names.join(", "), rig.config.camera.resolution_px);
-    let method = format!(
-        "profiles of {wanted} slanted edge(s) at heights from {} to {} mm",
-        args.heights.iter().copied().fold(f64::INFINITY, f64::min),
-        args.heights
-            .iter()
-            .copied()
-            .fold(f64::NEG_INFINITY, f64::max)
-    );
-    let kept = place.keep(values.clone(), &method, &[])?;
-    #[cfg(feature = "figures")]
-    let kept = {
-        let figure = crate::calibration::slanted_edge::figure(&edges, &found);
-        noted(place.draw(kept, &figure)?, context)
-    };
+    let kept = noted(measured.keep(place)?, context);
+    let values = &measured.values;
     let spread = values.point_spread_px;
     context.note(format_args!(
         "point spread {:.3} ± {:.3} px",
@@ -119,39 +75,10 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             "focus and aperture stay as the rig file has them: edges at three heights determine them",
         ),
     }
-    args.common.show(&kept, &values)
+    args.common.show(&kept, values)
 }
 
 /// An image, of a file or of a session's light.
-pub(super) fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {
-    if !path.is_dir() {
-        return Ok(exr::read(path)?.image);
-    }
-    let session = session_images(path)?;
-    if session.config.name != rig {
-        return Err(CliError::new(format!(
-            "{} is of rig {}, the record would be of rig {rig}",
-            path.display(),
-            session.config.name
-        ))
-        .hint(format!(
-            "name the session's rig: `--rig {}`",
-            session.config.name
-        )));
-    }
-    let lights = session.captured.len();
-    session.captured.into_iter().nth(light).ok_or_else(|| {
-        CliError::new(format!(
-            "{} has {lights} lights, not light {light}",
-            path.display()
-        ))
-        .hint(format!(
-            "--light counts from 0 to {}",
-            lights.saturating_sub(1)
-        ))
-    })
-}
-
 /// What to do about edges that cannot be used.
 fn advised(error: EdgeError) -> CliError {
     let hint = match &error {

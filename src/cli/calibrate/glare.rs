@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use super::focus;
 use super::light::Terminal;
-use super::target::CommonArgs;
+use super::target::{CommonArgs, advised};
 use super::white::parse_region;
-use crate::calibrating::CardRequest;
+use crate::calibrating::{CardRequest, image_of};
 use crate::calibration::glare::GlareRequest;
 use crate::calibration::procedure::ProcedureOptions;
 use crate::calibration::record::Measured;
 use crate::calibration::white::Region;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context, open};
 
 #[derive(clap::Args, Debug)]
@@ -26,10 +26,10 @@ pub(super) struct GlareArgs {
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     trap: Vec<Region>,
     /// What the traps reflect over what the card does
-    #[arg(long, value_name = "R", default_value_t = GlareRequest::TRAP_REFLECTANCE, value_parser = share)]
+    #[arg(long, value_name = "R", default_value_t = GlareRequest::TRAP_REFLECTANCE, value_parser = within(0.0, 0.1))]
     trap_reflectance: f64,
     /// Standard uncertainty of that
-    #[arg(long, value_name = "U", default_value_t = GlareRequest::TRAP_REFLECTANCE_STD, value_parser = share)]
+    #[arg(long, value_name = "U", default_value_t = GlareRequest::TRAP_REFLECTANCE_STD, value_parser = within(0.0, 0.1))]
     trap_reflectance_std: f64,
     /// Which light's image of a session is used
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -39,30 +39,19 @@ pub(super) struct GlareArgs {
     frames: u32,
 }
 
-fn share(text: &str) -> Result<f64, String> {
-    let value: f64 = text.trim().parse().map_err(|_| "not a number".to_owned())?;
-    match (0.0..=0.1).contains(&value) {
-        true => Ok(value),
-        false => Err("not in 0 to 0.1".to_owned()),
-    }
-}
-
 pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
     let mut place = args.common.place(&rig, context)?;
     let request = CardRequest {
         rig: &rig.config,
         traps: &args.trap,
-        trap_reflectance: Measured {
-            value: args.trap_reflectance,
-            std: args.trap_reflectance_std,
-        },
+        trap_reflectance: Measured::new(args.trap_reflectance, args.trap_reflectance_std),
         frames: args.frames,
         open: &open::of_port()?,
     };
     let measured = match &args.input {
         Some(path) => {
-            let image = focus::read(path, args.light, &rig.config.name)?;
+            let image = image_of(path, args.light, &rig.config.name).map_err(advised)?;
             let source = path.display().to_string();
             place = place.measured_from(source, rig.config.camera.resolution_px);
             request.measure_image(&image)?

@@ -4,6 +4,7 @@ use super::light::Terminal;
 use super::target::{CommonArgs, noted};
 use crate::calibrating::LampRequest;
 use crate::calibration::lamp_watch::WatchOptions;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context, open};
 
 #[derive(clap::Args, Debug)]
@@ -11,10 +12,10 @@ pub(super) struct LampArgs {
     #[command(flatten)]
     common: CommonArgs,
     /// How long the lamp is watched (minutes; 2 to 240)
-    #[arg(long, value_name = "MIN", default_value_t = WatchOptions::MINUTES)]
+    #[arg(long, value_name = "MIN", default_value_t = WatchOptions::MINUTES, value_parser = within(2.0, 240.0))]
     minutes: f64,
     /// Time between two levels (seconds; 0.1 to 60)
-    #[arg(long, value_name = "S", default_value_t = WatchOptions::INTERVAL_S)]
+    #[arg(long, value_name = "S", default_value_t = WatchOptions::INTERVAL_S, value_parser = within(0.1, 60.0))]
     interval: f64,
     /// Which channel of the lamp
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -25,15 +26,6 @@ pub(super) struct LampArgs {
 }
 
 pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
-    for (option, value, low, high) in [
-        ("--minutes", args.minutes, 2.0, 240.0),
-        ("--interval", args.interval, 0.1, 60.0),
-    ] {
-        if !(low..=high).contains(&value) {
-            return Err(CliError::new(format!("{option} is {value}"))
-                .hint(format!("it must be a number from {low} to {high}")));
-        }
-    }
     // The rig, and where the record goes.
     let rig = args.common.rig.resolve(context)?;
     let request = LampRequest {

@@ -1,30 +1,18 @@
 //! `rig calibrate lights`: directions of lights from mirror spheres.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::DVec2;
 use serde::Serialize;
 
-use super::target::CommonArgs;
-#[cfg(feature = "figures")]
-use super::target::noted;
-use crate::calibration::Library;
+use super::target::{CommonArgs, noted};
+use crate::calibrating::{CalibratingError, SpheresRequest};
 use crate::calibration::directions::DirectionsValues;
-#[cfg(feature = "figures")]
-use crate::calibration::figures;
-use crate::calibration::mirror_sphere::lights::{
-    DirectionsError, DirectionsRequest, MeasuredDirections, measure,
-};
+use crate::calibration::mirror_sphere::lights::DirectionsError;
 use crate::calibration::mirror_sphere::outline::Stated;
-use crate::calibration::mirror_sphere::{Circle, Grey, Sphere, SphereError};
+use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError};
 use crate::calibration::stage_directions::StageFitError;
 use crate::cli::{CliError, Context};
-use crate::config::RigConfig;
-use crate::device::kinematics::Kinematics;
-use crate::radiance_image::{RadianceImage, exr};
-use crate::session::layout::CALIBRATION_FOLDER;
-use crate::units::StageAngles;
-use crate::workflow::{SessionImages, apply_lens, session_images};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct LightsArgs {
@@ -84,61 +72,22 @@ struct LightsReport<'a> {
     values: &'a DirectionsValues,
 }
 
-/// The bench and the pictures of the sphere on it.
-struct Pictures {
-    config: RigConfig,
-    angles: Vec<StageAngles>,
-    images: Vec<RadianceImage>,
-    source: String,
-}
-
 pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> {
-    // The images, and the bench with its measured lens.
     let rig = args.common.rig.resolve(context)?;
-    let mut pictures = read(&args.input, &rig.config)?;
-    let lens = match args.input.as_slice() {
-        [root] if root.is_dir() => Library::Folder(root.join(CALIBRATION_FOLDER)).load(None)?,
-        _ => Library::of_rig(&rig).load(rig.config.calibration.camera.as_deref())?,
-    };
-    if let Some(lens) = &lens {
-        apply_lens(lens, &mut pictures.config.geometry, context);
-    }
-    let geometry = &pictures.config.geometry;
-    let stated = Stated {
-        radius_mm: args.radius,
-        height_mm: args.height,
-    };
-    let images: Vec<Grey> = pictures.images.iter().map(Grey::of).collect();
-    let camera = &geometry.image_camera();
-    let outline = match &args.outline {
-        Some(path) => Some(Grey::of(
-            &exr::read_sized(path, camera.resolution_px)?.image,
-        )),
-        None => None,
-    };
-    // Spheres and lights.
-    let found = measure(&DirectionsRequest {
-        geometry,
-        kinematics: &pictures.config.stage.kinematics(),
-        angles: &pictures.angles,
-        images: &images,
-        outline: outline.as_ref(),
-        stated,
+    let request = SpheresRequest {
+        rig: &rig,
+        input: &args.input,
+        outline: args.outline.as_deref(),
+        stated: Stated {
+            radius_mm: args.radius,
+            height_mm: args.height,
+        },
         near: &args.near,
         spheres: args.spheres as usize,
-    })
-    .map_err(advised)?;
-    #[cfg_attr(
-        not(feature = "figures"),
-        expect(unused_variables, reason = "drawn alone")
-    )]
-    let MeasuredDirections {
-        spheres,
-        lights,
-        stage,
-        values,
-    } = found;
-    for sphere in &spheres {
+    };
+    let measured = request.measure(context).map_err(advised)?;
+    let spheres = &measured.found.spheres;
+    for sphere in spheres {
         let circle = sphere.circle;
         context.note(format_args!(
             "sphere at ({:.2}, {:.2}), radius {:.2} pixels, {:.4} mm; blur {:.2} pixels",
@@ -149,22 +98,9 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             sphere.blur_px
         ));
     }
-    // The record.
-    let mut place = args.common.place(&rig, context)?;
-    place.measurement.source = pictures.source;
-    let method = format!(
-        "highlights of {} lights on {} mirror sphere(s) of radius {} mm",
-        lights.len(),
-        spheres.len(),
-        args.radius
-    );
-    let kept = place.keep(values.clone(), &method, &[])?;
-    #[cfg(feature = "figures")]
-    let kept = {
-        let angles = &pictures.angles;
-        let figure = figures::light_directions(geometry, angles, &lights, stage.as_ref());
-        noted(place.draw(kept, &figure)?, context)
-    };
+    let place = args.common.place(&rig, context)?;
+    let kept = noted(measured.keep(place)?, context);
+    let values = &measured.found.values;
     if let Some(stage) = &values.stage {
         let [x, y, z] = stage.rotation_deg;
         context.note(format_args!(
@@ -179,11 +115,8 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             distance.value, distance.std
         ));
     }
-    let report = LightsReport {
-        spheres: spheres.iter().map(sphere_report).collect(),
-        values: &values,
-    };
-    args.common.show(&kept, &report)
+    let spheres = spheres.iter().map(sphere_report).collect();
+    args.common.show(&kept, &LightsReport { spheres, values })
 }
 
 fn sphere_report(sphere: &Sphere) -> SphereReport {
@@ -195,71 +128,12 @@ fn sphere_report(sphere: &Sphere) -> SphereReport {
     }
 }
 
-fn read(input: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
-    match input {
-        [root] if root.is_dir() => of_session(root, rig),
-        files => of_files(files, rig),
-    }
-}
-
-fn of_session(root: &Path, rig: &RigConfig) -> Result<Pictures, CliError> {
-    let SessionImages {
-        session,
-        config,
-        places,
-        captured,
-    } = session_images(root)?;
-    let record = session.record();
-    if config.name != rig.name {
-        return Err(CliError::new(format!(
-            "the session is of rig {}, the record would be of rig {}",
-            config.name, rig.name
-        ))
-        .hint(format!("name the session's rig: `--rig {}`", record.rig)));
-    }
-    let name = root.file_name().unwrap_or_default().to_string_lossy();
-    Ok(Pictures {
-        config,
-        angles: places,
-        images: captured,
-        source: format!("session {name}"),
-    })
-}
-
-fn of_files(files: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
-    let Kinematics::FixedLights(lights) = rig.stage.kinematics() else {
-        return Err(
-            CliError::new("images alone do not state the angles of a stage with axes")
-                .hint("capture the sphere with `rig capture` and name the session"),
-        );
-    };
-    if files.len() != lights.directions.len() {
-        return Err(CliError::new(format!(
-            "{} images were named, the rig has {} lights",
-            files.len(),
-            lights.directions.len()
-        ))
-        .hint("name one image per light, in the order of the rig file's [[stage.light]] tables"));
-    }
-    let size = rig.geometry.image_camera().resolution_px;
-    let mut images = Vec::new();
-    for file in files {
-        images.push(exr::read_sized(file, size)?.image);
-    }
-    let names: Vec<_> = files.iter().map(|f| f.display().to_string()).collect();
-    Ok(Pictures {
-        config: rig.clone(),
-        angles: lights.directions.clone(),
-        images,
-        source: names.join(", "),
-    })
-}
-
 /// What to do about images that do not determine the lights.
-fn advised(error: DirectionsError) -> CliError {
+fn advised(error: CalibratingError) -> CliError {
     match error {
-        DirectionsError::Sphere(error) => sphere_advised(error),
-        DirectionsError::Stage(error) => stage_advised(error),
+        CalibratingError::Lights(DirectionsError::Sphere(error)) => sphere_advised(error),
+        CalibratingError::Lights(DirectionsError::Stage(error)) => stage_advised(error),
+        error => super::target::advised(error),
     }
 }
 

@@ -5,14 +5,13 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::rotation;
-use super::target::CommonArgs;
-#[cfg(feature = "figures")]
-use super::target::noted;
-use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, find};
+use super::target::{self, CommonArgs, noted};
+use crate::calibrating::{CalibratingError, PoseRequest, TurnedSession};
+use crate::calibration::pose::{PoseError, PoseOptions, PoseValues};
 use crate::calibration::record::Kind;
 use crate::calibration::rotation::RotationTest;
+use crate::cli::number::within;
 use crate::cli::{CliError, Context};
-use crate::workflow::{BenchRecords, session_images};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct PoseArgs {
@@ -27,20 +26,14 @@ pub(super) struct PoseArgs {
     /// Tests instead whether the sample is uniform and isotropic: further sessions with the same
     /// lights, for which it was turned counterclockwise about its axis by so many degrees
     #[arg(long, value_name = "SESSION=DEG", value_parser = rotation::parse)]
-    rotate: Vec<rotation::TurnedSession>,
+    rotate: Vec<TurnedSession>,
     /// Relative standard deviation of a region's radiance when the sample is seated again, for
     /// --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "R", default_value_t = RotationTest::REPEATABILITY, value_parser = fraction)]
+    #[arg(long, value_name = "R", default_value_t = RotationTest::REPEATABILITY, value_parser = within(1e-4, 0.5))]
     repeatability: f64,
     /// Chance that a good sample fails, for --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "ALPHA", default_value_t = RotationTest::SIGNIFICANCE, value_parser = fraction)]
+    #[arg(long, value_name = "ALPHA", default_value_t = RotationTest::SIGNIFICANCE, value_parser = within(1e-4, 0.5))]
     significance: f64,
-}
-
-fn fraction(text: &str) -> Result<f64, String> {
-    let number = text.trim().parse::<f64>().ok();
-    let within = number.filter(|number| (1e-4..=0.5).contains(number));
-    within.ok_or_else(|| "must be a number from 1e-4 to 0.5".into())
 }
 
 #[derive(Serialize)]
@@ -90,45 +83,29 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
             context,
         );
     }
-    // The session, and the bench as its records have it.
     let rig = args.common.rig.resolve(context)?;
-    let mut session = session_images(&args.session)?;
-    if session.config.name != rig.config.name {
-        return Err(CliError::new(format!(
-            "the session was captured on rig {}, not on {}",
-            session.config.name, rig.config.name
-        ))
-        .hint("name the session's rig with --rig"));
-    }
-    // The lens and the lights as they were measured: shadows determine the tilt only as well as
-    // the lights are known.
-    let bench =
-        BenchRecords::load(&args.session)?.apply(&session.config, &mut session.places, context);
-    let scene = bench.geometry.scene(&session.places)?;
-    // The pose.
-    let options = PoseOptions {
-        widest_px: args.widest as usize,
-        ..PoseOptions::default()
+    let request = PoseRequest {
+        rig: &rig.config,
+        session: &args.session,
+        options: PoseOptions {
+            widest_px: args.widest as usize,
+            ..PoseOptions::default()
+        },
     };
     let bar = context.spinner();
     bar.set_message("aligning");
-    let found = find(&scene, &session.captured, &bench.priors, &options);
+    let measured = request.measure(context);
     bar.finish_and_clear();
-    let found = found.map_err(|error| {
-        let hint = hint(&error);
-        CliError::new(error.to_string()).hint(format!("{hint}; nothing was kept"))
+    let measured = measured.map_err(|error| match error {
+        CalibratingError::Pose(error) => {
+            let hint = hint(&error);
+            CliError::new(error.to_string()).hint(format!("{hint}; nothing was kept"))
+        }
+        error => target::advised(error),
     })?;
-    // The record.
-    let values = PoseValues::new(&found);
-    let source = format!("session {}", args.session.display());
+    let (values, found) = (&measured.values, &measured.found);
     let place = args.common.place(&rig, context)?;
-    let place = place.measured_from(source, session.config.camera.resolution_px);
-    let method = format!(
-        "edges of {} patches in {} images, {} rounds",
-        values.patches,
-        session.captured.len(),
-        found.rounds
-    );
+    let id = place.measurement.id(Kind::Pose);
     if found.searched {
         let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
         context.warn(format_args!(
@@ -139,12 +116,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
             norm(values.translation_mm)
         ));
     }
-    let kept = place.keep(values.clone(), &method, &[])?;
-    #[cfg(feature = "figures")]
-    let kept = {
-        let figure = crate::calibration::pose::figure(&found, scene.camera.resolution_px);
-        noted(place.draw(kept, &figure)?, context)
-    };
+    let kept = noted(measured.keep(place)?, context);
     if !found.settled {
         context.warn("the last step was not short: the uncertainty may be too small".to_owned());
     }
@@ -159,10 +131,10 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
          pose = \"{}\" in the rig file's [calibration]",
         args.session.display(),
         kept.record.display(),
-        place.measurement.id(Kind::Pose)
+        id
     ));
     let report = PoseReport {
-        values: &values,
+        values,
         rounds: found.rounds,
         settled: found.settled,
     };

@@ -10,8 +10,9 @@ use super::white::parse_region;
 use crate::calibrating::ResponseRequest;
 use crate::calibration::white::Region;
 use crate::cli::bracket_files;
-use crate::cli::merge_warnings::{Counts, warn_agreement};
+use crate::cli::merge_warnings::warn_agreement;
 use crate::cli::{CliError, Context};
+use crate::radiometry::bracket_doubts::Counts;
 use crate::radiometry::response::{Estimator, ResponseOptions};
 
 #[derive(clap::Args, Debug)]

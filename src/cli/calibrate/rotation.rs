@@ -1,22 +1,16 @@
 //! `rig calibrate pose --rotate`: whether a sample is uniform and isotropic, by sessions
 //! between which it was turned.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
-use crate::calibration::rotation::{ChiSquare, RotationError, RotationTest, Turn, compare};
+use super::target;
+use crate::calibrating::{CalibratingError, TurnedSession, compare_turns};
+use crate::calibration::rotation::{ChiSquare, RotationError, RotationTest};
 use crate::cli::output::write_json;
 use crate::cli::{CliError, Context};
 use crate::out;
-use crate::workflow::{BenchRecords, session_images};
-
-/// A session, and by how much the sample was turned for it.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct TurnedSession {
-    root: PathBuf,
-    angle_deg: f64,
-}
 
 /// `SESSION=DEG`.
 pub(super) fn parse(text: &str) -> Result<TurnedSession, String> {
@@ -85,39 +79,13 @@ pub(super) fn run(
     json: bool,
     context: &Context,
 ) -> Result<(), CliError> {
-    let mut session = session_images(first)?;
-    let bench = BenchRecords::load(first)?.apply(&session.config, &mut session.places, context);
-    let scene = bench.geometry.scene(&session.places)?;
-    // The turned sessions, under the same lights.
-    let mut turned = Vec::new();
-    for other in others {
-        let images = session_images(&other.root)?;
-        let same = images.places.len() == session.places.len()
-            && images.places.iter().zip(&session.places).all(|(a, b)| {
-                a.to_light().angle_between(b.to_light()).to_degrees() < SAME_LIGHT_DEG
-            });
-        // What was read back has the offset of the records, which the first has lost to them.
-        let planned = images.session.record().plan.lights == session.session.record().plan.lights;
-        if !same && !planned {
-            return Err(
-                CliError::new(format!("{} has other lights", other.root.display()))
-                    .hint(hint(&RotationError::Differs { index: 0 })),
-            );
+    let found = compare_turns(first, others, repeatability, context);
+    let found = found.map_err(|error| match error {
+        CalibratingError::Rotation(error) => {
+            let hint = hint(&error);
+            CliError::new(error.to_string()).hint(hint)
         }
-        turned.push((other.angle_deg, images.captured));
-    }
-    // The comparison.
-    let mut turns = vec![Turn {
-        angle_deg: 0.0,
-        images: &session.captured,
-    }];
-    turns.extend(turned.iter().map(|(angle_deg, images)| Turn {
-        angle_deg: *angle_deg,
-        images,
-    }));
-    let found = compare(&scene, &turns, repeatability).map_err(|error| {
-        let hint = hint(&error);
-        CliError::new(error.to_string()).hint(hint)
+        error => target::advised(error),
     })?;
     let passed = found.passes(significance);
     if json {
@@ -149,9 +117,6 @@ pub(super) fn run(
     }
     verdict(&found, significance)
 }
-
-/// Two lights further apart are others, degrees.
-const SAME_LIGHT_DEG: f64 = 1.0;
 
 fn verdict(found: &RotationTest, significance: f64) -> Result<(), CliError> {
     if found.passes(significance) {

@@ -4,7 +4,6 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::calibration::Library;
-use crate::calibration::record::Kind;
 use crate::calibration::status::{RecordStatus, State, status};
 use crate::cli::output::write_json;
 use crate::cli::rig_choice::RigArg;
@@ -43,7 +42,9 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
     let records: Vec<Line> = records
         .into_iter()
         .map(|status| Line {
-            run: needs(&status).then(|| format!("rig calibrate {}", status.kind.command())),
+            run: status
+                .needs_calibration()
+                .then(|| format!("rig calibrate {}", status.kind.command())),
             status,
         })
         .collect();
@@ -76,23 +77,4 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
         }
     }
     Ok(())
-}
-
-/// Whether a calibration should be run.
-fn needs(status: &RecordStatus) -> bool {
-    match status.state {
-        State::Good => false,
-        State::Doubtful | State::Refused => true,
-        // A linear camera has no response; lens, lights and pose may be in the rig file.
-        State::Missing => !matches!(
-            status.kind,
-            Kind::Response
-                | Kind::Lights
-                | Kind::Directions
-                | Kind::Pose
-                | Kind::Focus
-                | Kind::Camera
-                | Kind::Glare
-        ),
-    }
 }

@@ -78,10 +78,24 @@ pub(super) fn noted(kept: Kept, context: &Context) -> Kept {
     kept
 }
 
-/// The error with advice on frames that cannot be read.
+/// The error with advice on what was named.
 pub(super) fn advised(error: CalibratingError) -> CliError {
     match error {
         CalibratingError::Frames(error) => bracket_files::advised(error),
+        CalibratingError::OtherRig { ref of, .. } => {
+            let hint = format!("name the session's rig: `--rig {of}`");
+            CliError::from(error).hint(hint)
+        }
+        CalibratingError::NoLight { lights, .. } => {
+            let last = lights.saturating_sub(1);
+            CliError::from(error).hint(format!("--light counts from 0 to {last}"))
+        }
+        CalibratingError::NoAngles => {
+            CliError::from(error).hint("capture the sphere with `rig capture` and name the session")
+        }
+        CalibratingError::ImageCount { .. } => CliError::from(error).hint(
+            "name one image per light, in the order of the rig file's [[stage.light]] tables",
+        ),
         error => error.into(),
     }
 }

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::target::CommonArgs;
-use crate::calibration::record::{LightsValues, Measured};
-use crate::calibration::white::{Region, WhiteStandard, irradiance};
+use super::target::{self, CommonArgs};
+use crate::calibrating::{CalibratingError, WhiteRequest};
+use crate::calibration::record::Measured;
+use crate::calibration::white::{Region, WhiteStandard};
 use crate::calibration::white_lights::{LightIntensity, WhiteLights};
-use crate::cli::{CliError, Context, HintExt};
-use crate::radiance_image::exr;
-use crate::workflow::{BenchRecords, session_images};
+use crate::cli::number::within;
+use crate::cli::{CliError, Context};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct WhiteArgs {
@@ -36,7 +36,7 @@ pub(super) struct WhiteArgs {
     #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_DEG)]
     incidence: f64,
     /// Standard uncertainty of that angle (degrees)
-    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_STD_DEG)]
+    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_STD_DEG, value_parser = within(0.0, 10.0))]
     incidence_std: f64,
     /// Where the standard is in the image (pixels; default: all of it)
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
@@ -46,23 +46,14 @@ pub(super) struct WhiteArgs {
         long,
         value_name = "MM",
         default_value_t = 0.0,
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = within(-1e4, 1e4)
     )]
     height: f64,
     /// How much the radiance factor differs between the lights' directions (standard deviation,
     /// relative; sessions only)
-    #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD)]
+    #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD, value_parser = within(0.0, 0.2))]
     direction_std: f64,
-}
-
-impl WhiteArgs {
-    /// What the record was found from: the images, and the certificate where it is named.
-    fn source(&self, images: &str) -> String {
-        match &self.certificate {
-            Some(certificate) => format!("{images}; standard's certificate {certificate}"),
-            None => images.to_owned(),
-        }
-    }
 }
 
 fn certificate(text: &str) -> Result<String, String> {
@@ -92,146 +83,42 @@ const HINT: &str = "put the standard where the sample will be, evenly lit, give 
     radiance factor as a fraction, and with --region only the standard's own pixels; nothing was kept";
 
 pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
-    if !(0.0..=10.0).contains(&args.incidence_std) {
-        return Err(
-            CliError::new(format!("--incidence-std is {}", args.incidence_std))
-                .hint("it must be a number of degrees from 0 to 10"),
-        );
-    }
-    if args.image.is_dir() {
-        return of_session(args, context);
-    }
     let rig = args.common.rig.resolve(context)?;
-    let image = exr::read(&args.image)?.image;
-    let whole = Region {
-        x: 0,
-        y: 0,
-        width: image.width,
-        height: image.height,
-    };
-    let standard = WhiteStandard {
-        reflectance: Measured {
-            value: args.reflectance,
-            std: args.reflectance_std,
-        },
-        incidence_rad: args.incidence.to_radians(),
-        incidence_std_rad: args.incidence_std.to_radians(),
-    };
-    let found = irradiance(&image, args.region.unwrap_or(whole), &standard).hint(HINT)?;
-    let mut place = args.common.place(&rig, context)?;
-    place.measurement.source = args.source(&args.image.display().to_string());
-    let method = format!(
-        "diffuse standard of reflectance {} ± {} at {} degrees",
-        args.reflectance, args.reflectance_std, args.incidence
-    );
-    let values = LightsValues {
-        irradiance_w_m2: found,
-        lights: Vec::new(),
-    };
-    let kept = place.keep(values, &method, &[])?;
-    let [red, green, blue] = found.map(|m| m.value);
-    context.note(format_args!(
-        "fits of later captures use an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², known \
-         to {:.2}%",
-        100.0 * found[0].std / found[0].value
-    ));
-    let report = WhiteReport {
-        irradiance_w_m2: found,
-        lights: &[],
-    };
-    args.common.show(&kept, &report)
-}
-
-/// Intensity and evenness of every light of a session, with the mean irradiance.
-fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
-    let ranges = [
-        ("--height", args.height, -1e4..=1e4),
-        ("--direction-std", args.direction_std, 0.0..=0.2),
-    ];
-    for (name, value, range) in ranges {
-        if !range.contains(&value) {
-            return Err(CliError::new(format!("{name} is {value}")).hint(format!(
-                "it must be from {} to {}",
-                range.start(),
-                range.end()
-            )));
-        }
-    }
-    // The session, and the bench with its measured lens and lights.
-    let rig = args.common.rig.resolve(context)?;
-    let mut session = session_images(&args.image)?;
-    if session.config.name != rig.config.name {
-        return Err(CliError::new(format!(
-            "the session is of rig {}, the record would be of rig {}",
-            session.config.name, rig.config.name
-        ))
-        .hint(format!(
-            "name the session's rig: `--rig {}`",
-            session.config.name
-        )));
-    }
-    let read_back = session.places.clone();
-    let records = BenchRecords::without_irradiance(&args.image)?;
-    let geometry = records
-        .apply(&session.config, &mut session.places, context)
-        .geometry;
-    let places = session.places.iter().zip(read_back);
-    let lights: Vec<_> = places
-        .map(|(&there, at)| (geometry.light(there), at))
-        .collect();
-    // The standard under every light.
-    let camera = geometry.image_camera();
-    let [width, height] = camera.resolution_px;
-    let white = WhiteLights {
-        camera: &camera,
-        region: args.region.unwrap_or(Region {
-            x: 0,
-            y: 0,
-            width,
-            height,
-        }),
+    let request = WhiteRequest {
+        rig: &rig.config,
+        images: &args.image,
+        reflectance: Measured::new(args.reflectance, args.reflectance_std),
+        incidence_deg: args.incidence,
+        incidence_std_deg: args.incidence_std,
+        certificate: args.certificate.as_deref(),
+        region: args.region,
         height_mm: args.height,
-        standard: WhiteStandard {
-            reflectance: Measured {
-                value: args.reflectance,
-                std: args.reflectance_std,
-            },
-            incidence_rad: 0.0,
-            incidence_std_rad: args.incidence_std.to_radians(),
-        },
         direction_std: args.direction_std,
-        lights: &lights,
     };
-    let found = white.measure(&session.captured).hint(HINT)?;
-    let stated = geometry.light.irradiance_w_m2;
-    let values = LightsValues {
-        irradiance_w_m2: std::array::from_fn(|c| Measured {
-            value: found.strength[c].value * stated[c],
-            std: found.strength[c].std * stated[c],
-        }),
-        lights: found.lights,
-    };
-    let mut place = args.common.place(&rig, context)?;
-    place.measurement.source = args.source(&format!("session {}", args.image.display()));
-    let method = format!(
-        "diffuse standard of reflectance {} ± {} under {} lights",
-        args.reflectance,
-        args.reflectance_std,
-        values.lights.len()
-    );
-    let kept = place.keep(values.clone(), &method, &[])?;
-    let green = || values.lights.iter().map(|light| light.relative[1]);
-    let (low, high) = green().fold((f64::INFINITY, 0.0f64), |(low, high), m| {
-        (low.min(m.value), high.max(m.value))
-    });
-    context.note(format_args!(
-        "fits of later captures use the lights' intensities, from {low:.4} to {high:.4} of \
-         their mean, known to {:.2}%, and by how unevenly each lights the sample",
-        100.0 * green().map(|m| m.std / m.value).fold(0.0, f64::max)
-    ));
+    let measured = request.measure(context).map_err(|error| match error {
+        CalibratingError::White(error) => CliError::from(error).hint(HINT),
+        error => target::advised(error),
+    })?;
+    let kept = measured.keep(args.common.place(&rig, context)?)?;
+    let irradiance = measured.values.irradiance_w_m2;
+    if args.image.is_dir() {
+        let ([low, high], worst) = measured.intensities();
+        context.note(format_args!(
+            "fits of later captures use the lights' intensities, from {low:.4} to {high:.4} of \
+             their mean, known to {:.2}%, and by how unevenly each lights the sample",
+            100.0 * worst
+        ));
+    } else {
+        let [red, green, blue] = irradiance.map(|m| m.value);
+        context.note(format_args!(
+            "fits of later captures use an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², \
+             known to {:.2}%",
+            100.0 * irradiance[0].std / irradiance[0].value
+        ));
+    }
     let report = WhiteReport {
-        irradiance_w_m2: values.irradiance_w_m2,
-        lights: &values.lights,
+        irradiance_w_m2: irradiance,
+        lights: &measured.values.lights,
     };
     args.common.show(&kept, &report)
 }

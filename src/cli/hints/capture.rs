@@ -2,6 +2,7 @@
 
 use crate::capture::findings::PrepareError;
 use crate::capture::open::OpenError;
+use crate::cli::preflight;
 
 pub(super) fn for_open(error: &OpenError) -> Option<String> {
     Some(match error {
@@ -17,6 +18,9 @@ pub(super) fn for_open(error: &OpenError) -> Option<String> {
 
 pub(super) fn for_prepare(error: &PrepareError) -> Option<String> {
     Some(match error {
+        PrepareError::View(concern) | PrepareError::Unlit { concern, .. } => {
+            preflight::remedy_of(concern)
+        }
         PrepareError::SceneFile(_) => {
             "`mesh`, `table` and `weights` in the rig file are relative to that file".into()
         }

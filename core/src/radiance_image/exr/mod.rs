@@ -29,136 +29,91 @@ pub struct RadianceFile {
 
 /// A radiance image that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ExrError {
     /// The system refuses.
     #[error("{file}: {source}")]
     Io {
-        /// The file.
         file: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
-    /// Not an OpenEXR file, or a damaged one.
     #[error("{file} is not a readable OpenEXR file: {problem}")]
-    Format {
-        /// The file.
-        file: PathBuf,
-        /// The message of the decoder.
-        problem: String,
-    },
-    /// An image of another kind.
+    Format { file: PathBuf, problem: String },
     #[error("{file} is {found}, not OpenEXR, which is read")]
-    OtherKind {
-        /// The file.
-        file: PathBuf,
-        /// What it is.
-        found: OtherKind,
-    },
+    OtherKind { file: PathBuf, found: OtherKind },
     /// The file ends before its image does.
     #[error("{file} is cut short: it has {bytes} bytes, but its image needs at least {needed}")]
     CutShort {
-        /// The file.
         file: PathBuf,
-        /// Its length.
         bytes: u64,
         /// The least length that its header and its table of blocks need.
         needed: u64,
     },
-    /// Another size than that of the camera whose image it should be.
     #[error("{file} is {width} x {height} pixels; the camera's image is {} x {}", expected[0], expected[1])]
     OtherSize {
-        /// The file.
         file: PathBuf,
-        /// Its pixels per row.
         width: usize,
-        /// Its rows.
         height: usize,
         /// The camera's pixels per row, and rows.
         expected: [usize; 2],
     },
-    /// A size that the file's bytes cannot hold, or that no camera has.
     #[error(
         "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold (at most {MOST_PER_BYTE} pixels for each, and {MOST_PIXELS} in all)"
     )]
     Size {
-        /// The file.
         file: PathBuf,
         /// Declared pixels per row.
         width: usize,
-        /// Declared rows.
         height: usize,
-        /// Declared channels.
         channels: usize,
-        /// Length of the file.
         bytes: u64,
     },
     /// Channels from which no radiance can be had.
     #[error("{file} has the channels {found}, but {wanted} are needed")]
     Channels {
-        /// The file.
         file: PathBuf,
         /// Those in the file, joined by commas.
         found: String,
-        /// What is needed.
         wanted: &'static str,
     },
     /// Several images, and nothing says which one is meant.
     #[error("{file} holds {count} images: {known}")]
     Layers {
-        /// The file.
         file: PathBuf,
-        /// How many.
         count: usize,
         /// Their names, joined by commas.
         known: String,
     },
-    /// No image of the requested name.
     #[error("{file} holds no image named {layer:?}; it holds {}", if known.is_empty() { "none" } else { known })]
     NoSuchLayer {
-        /// The file.
         file: PathBuf,
-        /// As requested.
         layer: String,
         /// The names that it has, joined by commas.
         known: String,
     },
-    /// Pixels, none of which is in the image.
     #[error(
         "{file}: none of its pixels (data window {} x {} at {}, {}) lies in its image (display window {} x {} at {}, {})",
         data[0], data[1], data[2], data[3], display[0], display[1], display[2], display[3]
     )]
     Windows {
-        /// The file.
         file: PathBuf,
         /// Width, height, left and top of the data window.
         data: [i64; 4],
         /// Width, height, left and top of the display window.
         display: [i64; 4],
     },
-    /// A kind of OpenEXR file that is not read.
     #[error("{file} is an OpenEXR file of a kind that is not read: {what}")]
-    Kind {
-        /// The file.
-        file: PathBuf,
-        /// What it has.
-        what: String,
-    },
+    Kind { file: PathBuf, what: String },
     /// An image whose parts differ in size.
     #[error(
         "{file}: {width} x {height} pixels, but {mean} means, {variance} variances and {valid} mask values"
     )]
     Inconsistent {
-        /// The file to be written.
         file: PathBuf,
-        /// Pixels per row.
         width: usize,
-        /// Rows.
         height: usize,
-        /// Means.
         mean: usize,
-        /// Variances.
         variance: usize,
-        /// Mask values.
         valid: usize,
     },
 }

@@ -15,12 +15,11 @@ use crate::radiometry::bracket_files::read_picture;
 use crate::workflow::session_images;
 
 /// Views of a checkerboard.
+#[allow(missing_docs)]
 pub struct CameraRequest<'a> {
-    /// The bench.
     pub rig: &'a RigConfig,
     /// Merged images, frames, or sessions, whose lights are averaged: one view each.
     pub views: &'a [PathBuf],
-    /// The board.
     pub board: Board,
     /// What is sought.
     pub options: CameraOptions,
@@ -28,8 +27,8 @@ pub struct CameraRequest<'a> {
 
 /// A camera as measured.
 #[derive(Clone, Debug, Serialize)]
+#[allow(missing_docs)]
 pub struct MeasuredCamera {
-    /// What the record holds.
     #[serde(flatten)]
     pub values: CameraValues,
     /// Part of the image that corners cover.
@@ -46,7 +45,6 @@ pub struct MeasuredCamera {
     /// Of the sensor.
     #[serde(skip)]
     resolution_px: [u32; 2],
-    /// Of the views.
     #[serde(skip)]
     #[cfg_attr(not(feature = "figures"), expect(dead_code, reason = "drawn alone"))]
     view_px: [usize; 2],

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use super::{Attendant, CalibratingError, Kept, Place, counted, procedure_options};
 use crate::calibration::flat::{FlatFit, to_map};
 use crate::calibration::noise::sensor_noise;
-use crate::calibration::procedure::Bench;
+use crate::calibration::procedure::LitCamera;
 use crate::calibration::record::{FlatValues, Kind, Measured, ScaleValues, SensorValues};
 use crate::calibration::{Library, Loaded};
 use crate::capture::open::{OpenOptions, open_real_camera};
@@ -75,7 +75,7 @@ impl FlatRequest<'_> {
         let mut cover = |cover| attendant.cover(cover);
         let mut step = counted(attendant, 2 * self.frames);
         let options = procedure_options(&rig.camera, self.frames);
-        let bench = Bench::new(camera.as_mut(), options, &mut cover, &mut step);
+        let bench = LitCamera::new(camera.as_mut(), options, &mut cover, &mut step);
         let mut bench = match self.ambient {
             true => bench.with_switch(&mut switch),
             false => bench,

@@ -3,7 +3,7 @@
 use super::{Attendant, CalibratingError, Kept, Place, counted, procedure_options};
 use crate::calibration::glare::{GlareRequest, GlareValues, measure};
 use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::procedure::Bench;
+use crate::calibration::procedure::LitCamera;
 use crate::calibration::record::Measured;
 use crate::calibration::white::Region;
 use crate::capture::open::{OpenOptions, open_real_camera};
@@ -50,7 +50,7 @@ impl CardRequest<'_> {
         let mut cover = |cover| attendant.cover(cover);
         let mut step = counted(attendant, 2 * self.frames);
         let options = procedure_options(&self.rig.camera, self.frames);
-        let picture = Bench::new(camera.as_mut(), options, &mut cover, &mut step).picture()?;
+        let picture = LitCamera::new(camera.as_mut(), options, &mut cover, &mut step).picture()?;
         self.found(&picture, traps)
     }
 

@@ -7,30 +7,44 @@
 //! | `sensor`, `flat` | the sensor by photon transfer; pixels and scale under an even light |
 //! | `lamp` | how the lamp warms up, drifts and flickers |
 //! | `response` | the response of a camera that is not linear |
-//! | `camera` | the lens |
+//! | `camera`, `focus` | the lens, and how sharp it is |
 //! | `glare` | the light that the lens scatters |
+//! | `lights`, `white` | where the lights are, and how strong |
+//! | `pose` | where the sample lies, and whether it is the same in every direction |
 //! | `place` | where records and their figures go |
 
 mod camera;
 mod error;
 mod flat;
+mod focus;
 mod glare;
 mod lamp;
+mod lights;
 mod place;
+mod pose;
 mod response;
 mod sensor;
+mod white;
 
 pub use camera::{CameraRequest, MeasuredCamera};
 pub use error::CalibratingError;
 pub use flat::{FlatRequest, MeasuredFlat};
+pub use focus::{EdgesRequest, MeasuredFocus};
 pub use glare::{CardRequest, MeasuredGlare};
 pub use lamp::{LampRequest, MeasuredLamp};
+pub use lights::{MeasuredLights, SpheresRequest};
 pub use place::{Kept, Place};
+pub use pose::{MeasuredPose, PoseRequest, TurnedSession, compare_turns};
 pub use response::{MeasuredResponse, ResponseRequest};
 pub use sensor::{MeasuredSensor, SensorRequest};
+pub use white::{MeasuredWhite, WhiteRequest};
+
+use std::path::Path;
 
 use crate::calibration::procedure::ProcedureOptions;
 use crate::config::CameraConfig;
+use crate::radiance_image::{RadianceImage, exr};
+use crate::workflow::{SessionImages, session_images};
 
 /// The person at a bench that is calibrated, and who is shown how far the work is.
 pub trait Attendant {
@@ -53,6 +67,37 @@ fn procedure_options(camera: &CameraConfig, frames: u32) -> ProcedureOptions {
         discard: camera.settings_latency_frames + 1,
         ..ProcedureOptions::default()
     }
+}
+
+/// A session that was captured on the rig whose record is to be made.
+fn session_of(root: &Path, rig: &str) -> Result<SessionImages, CalibratingError> {
+    let session = session_images(root)?;
+    if session.config.name == rig {
+        return Ok(session);
+    }
+    Err(CalibratingError::OtherRig {
+        session: root.to_owned(),
+        of: session.config.name,
+        rig: rig.to_owned(),
+    })
+}
+
+/// A radiance image, or that of one light of a session.
+///
+/// # Errors
+/// A file that cannot be read, a session of another rig or without that light.
+pub fn image_of(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CalibratingError> {
+    if !path.is_dir() {
+        return Ok(exr::read(path)?.image);
+    }
+    let captured = session_of(path, rig)?.captured;
+    let lights = captured.len();
+    let image = captured.into_iter().nth(light);
+    image.ok_or_else(|| CalibratingError::NoLight {
+        session: path.to_owned(),
+        lights,
+        light,
+    })
 }
 
 /// Steps of work, counted for an attendant.

@@ -24,10 +24,9 @@ pub struct ResponseRequest<'a> {
 
 /// A response as measured.
 #[derive(Clone, Debug, Serialize)]
+#[allow(missing_docs)]
 pub struct MeasuredResponse {
-    /// The exposures, seconds.
     pub exposures_s: Vec<f64>,
-    /// What the record holds.
     pub values: ResponseValues,
     /// How the exposures of each channel agree once merged.
     #[serde(skip)]

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{Attendant, CalibratingError, Kept, Place, counted, procedure_options};
-use crate::calibration::procedure::Bench;
+use crate::calibration::procedure::LitCamera;
 use crate::calibration::record::{Kind, SensorValues};
 use crate::calibration::sensor::emva1288::Emva1288;
 use crate::calibration::sensor::{SensorFit, TransferPoint};
@@ -23,14 +23,12 @@ pub struct SensorRequest<'a> {
 }
 
 /// A sensor as measured.
+#[allow(missing_docs)]
 pub struct MeasuredSensor {
-    /// The camera.
     pub info: CameraInfo,
-    /// The sensor.
     pub fit: SensorFit,
     /// The same in the terms of EMVA 1288.
     pub emva1288: Emva1288,
-    /// How it was measured.
     pub method: String,
     sensor_c: Option<f64>,
 }
@@ -57,9 +55,9 @@ impl SensorRequest<'_> {
         };
         let info = camera.info().clone();
         let mut cover = |cover| attendant.cover(cover);
-        let mut step = counted(attendant, Bench::photon_transfer_frames(&options));
+        let mut step = counted(attendant, LitCamera::photon_transfer_frames(&options));
         let transfer =
-            Bench::new(camera.as_mut(), options, &mut cover, &mut step).photon_transfer()?;
+            LitCamera::new(camera.as_mut(), options, &mut cover, &mut step).photon_transfer()?;
         let fit = transfer.solve(info.resolution_px[0] as usize, info.bit_depth)?;
         let (levels, frames) = (fit.curve.len(), self.frames);
         Ok(MeasuredSensor {

@@ -1,9 +1,11 @@
 use std::cell::Cell;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::*;
 use crate::calibration::Library;
+use crate::calibration::mirror_sphere::outline::Stated;
 use crate::calibration::record::{FlatValues, Measured, ScaleValues, SensorValues};
+use crate::calibration::slanted_edge::EdgeError;
 use crate::capture::open::OpenOptions;
 use crate::config::{BUILT_IN, Origin, ResolvedRig, RigConfig};
 
@@ -60,10 +62,7 @@ fn a_flat_field_takes_the_sensor_record_measured_just_before() {
         rig: &rig,
         frames: 8,
         ambient: false,
-        radiance: Some(Measured {
-            value: 0.4,
-            std: 0.002,
-        }),
+        radiance: Some(Measured::new(0.4, 0.002)),
         open: &open,
     };
     let flat = flat.measure(&place, &attendant).unwrap();
@@ -97,4 +96,38 @@ fn what_cannot_be_measured_is_refused_before_devices_are_taken() {
     let place = Place::of_rig(&rig, Some(&file));
     let refused = place.check().unwrap_err();
     assert!(matches!(refused, CalibratingError::Folder { .. }));
+}
+
+#[test]
+fn images_that_are_not_of_the_rig_are_named() {
+    let rig = simulated(Path::new(""));
+    let input = [PathBuf::from("a.exr")];
+    let spheres = SpheresRequest {
+        rig: &rig,
+        input: &input,
+        outline: None,
+        stated: Stated {
+            radius_mm: 10.0,
+            height_mm: 0.0,
+        },
+        near: &[],
+        spheres: 1,
+    };
+    assert!(matches!(
+        spheres.measure(&()),
+        Err(CalibratingError::NoAngles)
+    ));
+    let edges = EdgesRequest {
+        rig: &rig.config,
+        input: &input,
+        light: 0,
+        regions: &[],
+        heights_mm: &[1.0, 2.0],
+        height_std_mm: 0.0,
+    };
+    let error = edges.measure().err().unwrap();
+    assert!(
+        matches!(error, CalibratingError::Focus(EdgeError::OneImage { .. })),
+        "{error}"
+    );
 }

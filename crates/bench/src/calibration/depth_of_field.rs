@@ -1,5 +1,7 @@
 //! Whether the depth of field covers the sample: the defocus blur over the sample in view.
 
+use std::fmt;
+
 use glam::DVec2;
 
 use super::slanted_edge::FocusValues;
@@ -28,6 +30,29 @@ pub struct DepthOfField {
     /// Heights between which nothing is blurred by more, on the camera's axis; `None` where the lens has
     /// no aperture.
     pub sharp_mm: Option<[f64; 2]>,
+}
+
+impl DepthOfField {
+    /// How much of the sample is blurred by more than the limit.
+    pub fn concern(&self, limit_px: f64) -> String {
+        let sharp = self.sharp_mm.map_or(String::new(), |[low, high]| {
+            format!("; only heights from {low:.2} to {high:.2} mm are blurred by less")
+        });
+        let percent = 100.0 * self.beyond;
+        format!("{self}, which is above {limit_px} px on {percent:.0}% of it{sharp}")
+    }
+}
+
+impl fmt::Display for DepthOfField {
+    /// The blur at both ends of the sample's depth.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [low, high] = self.ends;
+        write!(
+            out,
+            "the sample is blurred by {:.2} px at {:.2} mm and by {:.2} px at {:.2} mm",
+            low.disc_px, low.height_mm, high.disc_px, high.height_mm
+        )
+    }
 }
 
 /// Points sampled along the longer side of the image.

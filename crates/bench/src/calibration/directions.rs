@@ -177,10 +177,7 @@ impl DirectionsValues {
         for angles in angles {
             let here = angles.to_light();
             let measured = self.lights.iter().find(|light| {
-                let there = StageAngles {
-                    azimuth_deg: light.stage_deg[0],
-                    elevation_deg: light.stage_deg[1],
-                };
+                let there = StageAngles::new(light.stage_deg[0], light.stage_deg[1]);
                 there.to_light().angle_between(here).to_degrees() < SAME_LIGHT_DEG
             });
             match measured {
@@ -283,10 +280,7 @@ mod tests {
         let truth = DQuat::from_scaled_axis(DVec3::new(0.01, -0.02, 0.05));
         let (angles, found) = stage_directions::tests::measured(5, truth, 0.03, 0.0);
         let stage = stage_directions::fit(DQuat::IDENTITY, &angles, &found, true).unwrap();
-        let distance = Some(Measured {
-            value: 310.0,
-            std: 2.0,
-        });
+        let distance = Some(Measured::new(310.0, 2.0));
         for stage in [Some(&stage), None] {
             let values = DirectionsValues::new(&angles, &found, stage, distance);
             values.check().unwrap();

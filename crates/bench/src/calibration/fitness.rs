@@ -8,48 +8,32 @@ use crate::config::CameraConfig;
 
 /// What speaks against a record.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum Concern {
     /// It belongs to another camera or setting: a capture refuses it.
     #[error(transparent)]
     Other(#[from] RecordError),
     /// Its values are not those that were measured.
     #[error("record {id} was changed after the measurement: its checksum is of other values")]
-    Changed {
-        /// The record.
-        id: String,
-    },
+    Changed { id: String },
     /// Its own date of expiry has passed.
     #[error("record {id} was valid until {until}")]
     Expired {
-        /// The record.
         id: String,
         /// UTC, RFC 3339.
         until: String,
     },
-    /// It is older than such records usually hold.
     #[error("record {id} is {days:.0} days old; such records usually hold for {usual_days:.0}")]
     Old {
-        /// The record.
         id: String,
-        /// Its age, days.
         days: f64,
-        /// How long the kind holds, days.
         usual_days: f64,
     },
-    /// It was measured with a warmer or colder sensor.
     #[error("record {id} was measured with the sensor at {then_c:.1} °C; it has {now_c:.1} °C now")]
-    Temperature {
-        /// The record.
-        id: String,
-        /// Then, °C.
-        then_c: f64,
-        /// Now, °C.
-        now_c: f64,
-    },
+    Temperature { id: String, then_c: f64, now_c: f64 },
     /// It was made in the future: a clock is wrong.
     #[error("record {id} is dated {date}, which is in the future")]
     Future {
-        /// The record.
         id: String,
         /// UTC, RFC 3339.
         date: String,

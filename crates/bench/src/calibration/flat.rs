@@ -38,10 +38,7 @@ impl FlatFit {
     pub fn responsivity_e_s(&self, radiance: Measured, gain: Measured) -> Measured {
         let value = self.rate_e_s / radiance.value;
         let relative = (radiance.std / radiance.value).hypot(gain.std / gain.value);
-        Measured {
-            value,
-            std: value * relative,
-        }
+        Measured::new(value, value * relative)
     }
 
     /// Standard deviation of the response between pixels, relative.
@@ -60,33 +57,15 @@ struct Sum {
 
 /// Why frames do not make a flat field.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FlatError {
-    /// A frame of another size.
     #[error("the frame has {found} pixels, the flat field {expected}")]
-    FrameSize {
-        /// Pixels of the frame.
-        found: usize,
-        /// Pixels of the flat field.
-        expected: usize,
-    },
-    /// No flats or no dark frames.
+    FrameSize { found: usize, expected: usize },
     #[error("{lit} flats and {dark} dark frames; at least one of each is needed")]
-    TooFew {
-        /// Flats.
-        lit: u32,
-        /// Dark frames.
-        dark: u32,
-    },
+    TooFew { lit: u32, dark: u32 },
     /// Too little or too much light.
     #[error("the flats reach {percent:.0}% of the usable range; from {low}% to {high}% is needed")]
-    Exposure {
-        /// Mean over the pixels, percent.
-        percent: f64,
-        /// Lower limit, percent.
-        low: u32,
-        /// Upper limit, percent.
-        high: u32,
-    },
+    Exposure { percent: f64, low: u32, high: u32 },
     /// A pixel that sees no light.
     #[error("pixel ({column}, {row}) has no response")]
     DeadPixel {
@@ -97,12 +76,7 @@ pub enum FlatError {
     },
     /// A map that is no PNG of the right size.
     #[error("{file}: {problem}")]
-    Map {
-        /// The map's name.
-        file: String,
-        /// What is wrong.
-        problem: String,
-    },
+    Map { file: String, problem: String },
 }
 
 /// Flats between these parts of the usable range: photon noise is low, and no

@@ -73,10 +73,10 @@ impl GlareValues {
     /// All of it: share of the light and its standard uncertainty.
     pub fn total(&self) -> Measured {
         let [[a, b], [_, d]] = self.glare().covariance;
-        Measured {
-            value: self.uniform.value + self.halo.value,
-            std: (a + 2.0 * b + d).max(0.0).sqrt(),
-        }
+        Measured::new(
+            self.uniform.value + self.halo.value,
+            (a + 2.0 * b + d).max(0.0).sqrt(),
+        )
     }
 }
 
@@ -100,8 +100,8 @@ impl GlareRequest<'_> {
 
 /// Why an image gives no glare.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum GlareError {
-    /// No trap is named.
     #[error("no trap is named")]
     NoTrap,
     /// A region leaves the image or holds too few pixels.
@@ -110,29 +110,19 @@ pub enum GlareError {
         region.width, region.height, region.x, region.y, size[0], size[1]
     )]
     Region {
-        /// The region.
         region: Region,
         /// Width and height of the image.
         size: [usize; 2],
     },
-    /// What is named as a trap is not dark.
     #[error(
         "the traps have {percent:.1}% of the card's radiance; at most {MAX_TRAP_PERCENT}% can be glare"
     )]
-    NotDark {
-        /// Radiance over that of the card, percent.
-        percent: f64,
-    },
+    NotDark { percent: f64 },
     /// More light than the stated reflectance explains is not there.
     #[error(
         "the traps have {percent:.3}% of the card's radiance, less than the {stated_percent:.3}% that they are stated to reflect"
     )]
-    Darker {
-        /// Radiance over that of the card, percent.
-        percent: f64,
-        /// Stated reflectance, percent.
-        stated_percent: f64,
-    },
+    Darker { percent: f64, stated_percent: f64 },
 }
 
 /// Pixels that a trap must have.
@@ -380,10 +370,7 @@ mod tests {
         let request = GlareRequest {
             image: &image,
             traps: &traps,
-            trap_reflectance: Measured {
-                value: 0.001,
-                std: 0.0001,
-            },
+            trap_reflectance: Measured::new(0.001, 0.0001),
         };
         measure(&request).unwrap()
     }

@@ -44,26 +44,17 @@ fn pairs<S: Serializer>(levels: &[LampLevel], to: S) -> Result<S::Ok, S::Error> 
 
 /// Why levels do not make a calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum LampFitError {
-    /// Too few levels.
     #[error("{found} levels, and at least {MIN_LEVELS} are needed")]
-    TooFew {
-        /// How many there are.
-        found: usize,
-    },
+    TooFew { found: usize },
     /// The scene is not lit by the lamp.
     #[error("the lamp adds no light to what the camera sees")]
     NoLight,
-    /// Still warming up at the end.
     #[error(
         "the lamp is still warming up: it was watched for {watched_s:.0} s, and its time constant is about {constant_s:.0} s"
     )]
-    StillWarming {
-        /// How long it was watched, seconds.
-        watched_s: f64,
-        /// Time constant, seconds.
-        constant_s: f64,
-    },
+    StillWarming { watched_s: f64, constant_s: f64 },
     /// Something else changed: the lamp or the scene moved, a door opened.
     #[error(
         "the light jumped by {percent:.1}% after {time_s:.0} s, which neither warm-up nor drift does"
@@ -71,7 +62,6 @@ pub enum LampFitError {
     Jump {
         /// Largest step between two levels beyond the fit's, percent.
         percent: f64,
-        /// When, seconds after switching on.
         time_s: f64,
     },
 }
@@ -184,10 +174,10 @@ impl Burst {
         };
         Flicker {
             exposure_s: self.exposure_s,
-            relative: Measured {
-                value: own.sqrt() / mean.abs().max(1e-12),
-                std: std / mean.abs().max(1e-12),
-            },
+            relative: Measured::new(
+                own.sqrt() / mean.abs().max(1e-12),
+                std / mean.abs().max(1e-12),
+            ),
         }
     }
 }
@@ -248,10 +238,7 @@ impl Warming {
         let std = |i: usize| covariance[(i, i)].max(0.0).sqrt();
         // Whether there was a warm-up at all.
         let warm = c[0];
-        let missing = Measured {
-            value: -c[2] / warm,
-            std: std(2) / warm.abs(),
-        };
+        let missing = Measured::new(-c[2] / warm, std(2) / warm.abs());
         let (without, without2) = line(levels);
         if (without2 - sum2) / noise2 < EXPLAINS {
             return Self::steady(levels, without, without2);
@@ -263,14 +250,8 @@ impl Warming {
         Self {
             warm,
             missing,
-            constant_s: Measured {
-                value: constant_s,
-                std: std(3),
-            },
-            drift_per_hour: Measured {
-                value: 3600.0 * c[1] / warm,
-                std: 3600.0 * std(1) / warm.abs(),
-            },
+            constant_s: Measured::new(constant_s, std(3)),
+            drift_per_hour: Measured::new(3600.0 * c[1] / warm, 3600.0 * std(1) / warm.abs()),
             residuals: levels.iter().map(residual).collect(),
         }
     }
@@ -281,21 +262,15 @@ impl Warming {
         let noise2 = sum2 / (n - 2.0);
         let middle = levels.iter().map(|l| l.time_s).sum::<f64>() / n;
         let spread: f64 = levels.iter().map(|l| (l.time_s - middle).powi(2)).sum();
-        let none = Measured {
-            value: 0.0,
-            std: noise2.sqrt() / c[0].abs(),
-        };
+        let none = Measured::new(0.0, noise2.sqrt() / c[0].abs());
         Self {
             warm: c[0],
             missing: none,
-            constant_s: Measured {
-                value: 0.0,
-                std: 0.0,
-            },
-            drift_per_hour: Measured {
-                value: 3600.0 * c[1] / c[0],
-                std: 3600.0 * (noise2 / spread.max(1e-30)).sqrt() / c[0].abs(),
-            },
+            constant_s: Measured::new(0.0, 0.0),
+            drift_per_hour: Measured::new(
+                3600.0 * c[1] / c[0],
+                3600.0 * (noise2 / spread.max(1e-30)).sqrt() / c[0].abs(),
+            ),
             residuals: levels
                 .iter()
                 .map(|l| (l.level - c[0] - c[1] * l.time_s) / c[0])

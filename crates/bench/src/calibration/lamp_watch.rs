@@ -32,6 +32,7 @@ impl WatchOptions {
 
 /// What stops a watch.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum WatchError {
     /// A device failed.
     #[error(transparent)]
@@ -46,11 +47,8 @@ pub enum WatchError {
     Exposure {
         /// Ninth decile of the counts above those without lamp at the last try, DN.
         reached_dn: i64,
-        /// Largest count.
         full_scale_dn: f64,
-        /// The camera's shortest exposure, seconds.
         shortest_s: f64,
-        /// The longest that was tried, seconds.
         longest_s: f64,
     },
 }
@@ -203,10 +201,10 @@ impl<'a> Watch<'a> {
 
     fn configure(&mut self, exposure_s: f64, options: &WatchOptions) -> Result<f64, WatchError> {
         let [shortest, longest] = self.camera.info().exposure_range.map(|s| s.0);
-        let applied = self.camera.configure(CameraSettings {
-            exposure: Seconds(exposure_s.clamp(shortest, longest)),
-            gain: options.gain,
-        })?;
+        let applied = self.camera.configure(CameraSettings::new(
+            Seconds(exposure_s.clamp(shortest, longest)),
+            options.gain,
+        ))?;
         for _ in 0..options.discard {
             self.grab(FrameKind::Light)?;
         }
@@ -215,12 +213,9 @@ impl<'a> Watch<'a> {
 
     fn grab(&mut self, kind: FrameKind) -> Result<RawFrame, WatchError> {
         self.taken += 1;
-        Ok(self.camera.grab(FrameKey {
-            light: KEY_OF_WATCH,
-            exposure: 0,
-            repeat: self.taken,
-            kind,
-        })?)
+        Ok(self
+            .camera
+            .grab(FrameKey::new(KEY_OF_WATCH, 0, self.taken, kind))?)
     }
 }
 

@@ -44,77 +44,57 @@ pub struct Loaded<V> {
 
 /// A record that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum RecordError {
     /// A file cannot be read or written.
     #[error("{file}: {source}")]
     Io {
-        /// Path or name.
         file: String,
-        /// The system's error.
         source: std::io::Error,
     },
     /// The named record doesn't exist.
     #[error("there is no {} record {id:?} in {library}", kind.folder())]
     NotFound {
-        /// What it is about.
         kind: Kind,
-        /// Its id.
         id: String,
-        /// Where was looked.
         library: String,
     },
     /// Not a record of this format.
     #[error("{file}:{line}: {problem}")]
     Syntax {
-        /// Path or name.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// The parser's message.
         problem: String,
     },
     /// A value outside its range, or one that contradicts the file's folder or name.
     #[error("{file}: `{key}` is {value}, but must be {allowed}")]
     Invalid {
-        /// Path or name.
         file: String,
-        /// Dotted path of the key.
         key: String,
-        /// Its value.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
     /// A map's checksum is not the record's.
     #[error("{file} has SHA-256 {actual}, its record says {expected}")]
     Checksum {
-        /// The map.
         file: String,
-        /// From the record.
         expected: String,
-        /// Of the file.
         actual: String,
     },
     /// The record belongs to another device or setting.
     #[error("{file} belongs to {what} {has}, the rig has {wanted}")]
     Mismatch {
-        /// What it is about.
         kind: Kind,
-        /// Path or name.
         file: String,
         /// Serial number, gain, …
         what: &'static str,
-        /// The record's.
         has: String,
-        /// The rig's.
         wanted: String,
     },
     /// A record is never changed, only followed by a newer one.
     #[error("{file} exists already; records are never changed")]
-    Exists {
-        /// Path.
-        file: String,
-    },
+    Exists { file: String },
 }
 
 impl Library {

@@ -1,9 +1,10 @@
 //! The noise model that a rig's records stand for.
 
-use super::Loaded;
 use super::flat::{FlatError, from_map};
 use super::pixel_map::{MapError, PixelMap};
 use super::record::{FlatValues, MapFile, ScaleValues, SensorValues};
+use super::{Library, Loaded, RecordError};
+use crate::config::ResolvedRig;
 use crate::radiometry::linearity::Linearity;
 use crate::radiometry::sensor::{DarkPattern, SensorNoise};
 
@@ -47,6 +48,49 @@ pub fn sensor_noise(
         noise.dark_current_spread_e_s = dark_e2_s2.sqrt();
     }
     Ok(noise)
+}
+
+/// Why a rig's records describe no frames.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum FrameNoiseError {
+    #[error("there is no sensor record in {place}")]
+    NoSensor { place: String },
+    #[error(
+        "the frames have {} x {} pixels, the rig's camera {} x {}",
+        frames[0], frames[1], camera[0], camera[1]
+    )]
+    OtherSize { frames: [u32; 2], camera: [u32; 2] },
+    /// A record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A map.
+    #[error(transparent)]
+    Map(#[from] NoiseError),
+}
+
+/// The noise model of frames of this size that the camera of a rig took.
+///
+/// # Errors
+/// See [`FrameNoiseError`].
+pub fn noise_of_frames(
+    rig: &ResolvedRig,
+    frames: [u32; 2],
+) -> Result<SensorNoise, FrameNoiseError> {
+    let library = Library::of_rig(rig);
+    let (pins, config) = (&rig.config.calibration, &rig.config.camera);
+    let sensor = library.load_for(pins.sensor.as_deref(), config.gain)?;
+    let sensor = sensor.ok_or_else(|| FrameNoiseError::NoSensor {
+        place: library.place(),
+    })?;
+    let flat = library.load_for::<FlatValues>(pins.flat.as_deref(), config.gain)?;
+    let scale = library.load_for::<ScaleValues>(pins.scale.as_deref(), config.gain)?;
+    let camera = config.resolution_px;
+    if frames != camera {
+        return Err(FrameNoiseError::OtherSize { frames, camera });
+    }
+    let scale = scale.as_ref().map(|loaded| &loaded.record.values);
+    Ok(sensor_noise(&sensor, flat.as_ref(), scale, frames)?)
 }
 
 /// The same without what single pixels do, apart from hot ones.

@@ -45,6 +45,7 @@ impl Default for ProcedureOptions {
 
 /// What stops a calibration.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProcedureError {
     /// The camera failed.
     #[error(transparent)]
@@ -55,24 +56,13 @@ pub enum ProcedureError {
     /// The frames do not make a flat field.
     #[error(transparent)]
     Flat(#[from] FlatError),
-    /// The light is too dim to saturate the sensor.
     #[error("the light brings the sensor to {reached_dn} DN in {longest_s} s, not to saturation")]
-    TooDim {
-        /// Median count at the longest exposure, DN.
-        reached_dn: u16,
-        /// The longest exposure, seconds.
-        longest_s: f64,
-    },
-    /// The light saturates the sensor in the shortest exposure.
+    TooDim { reached_dn: u16, longest_s: f64 },
     #[error("the light saturates the sensor in the shortest exposure of {shortest_s} s")]
-    TooBright {
-        /// The camera's shortest exposure, seconds.
-        shortest_s: f64,
-    },
+    TooBright { shortest_s: f64 },
     /// No frames without the light, but with all other, can be had.
     #[error("the light was not switched off")]
     NotOff,
-    /// No dark frames can be had.
     #[error(
         "the camera has no shutter, and the frames with the light covered are as bright as the others"
     )]
@@ -91,7 +81,7 @@ const DARK_EXPOSURES: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
 const KEY_OF_CALIBRATION: u32 = 1 << 31;
 
 /// A camera in front of the light, with what it takes to vary the exposure.
-pub struct Bench<'a> {
+pub struct LitCamera<'a> {
     camera: &'a mut dyn Camera,
     options: ProcedureOptions,
     /// Covers and uncovers the light where the camera has no shutter; returns
@@ -105,7 +95,7 @@ pub struct Bench<'a> {
     taken: u32,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> LitCamera<'a> {
     /// `cover(true)` covers the light or the lens of a camera without shutter,
     /// `cover(false)` uncovers it; it returns whether that was done.
     pub fn new(
@@ -288,10 +278,10 @@ impl<'a> Bench<'a> {
 
     fn configure(&mut self, exposure_s: f64) -> Result<f64, ProcedureError> {
         let [shortest, longest] = self.camera.info().exposure_range.map(|s| s.0);
-        let applied = self.camera.configure(CameraSettings {
-            exposure: Seconds(exposure_s.clamp(shortest, longest)),
-            gain: self.options.gain,
-        })?;
+        let applied = self.camera.configure(CameraSettings::new(
+            Seconds(exposure_s.clamp(shortest, longest)),
+            self.options.gain,
+        ))?;
         Ok(applied.exposure.0)
     }
 

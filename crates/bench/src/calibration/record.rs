@@ -75,12 +75,11 @@ impl Kind {
 /// One calibration, as its file has it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
 pub struct Record<V> {
     /// The file's name without `.toml`; starts with the date by custom.
     pub id: String,
-    /// What it is about.
     pub kind: Kind,
-    /// Name of the rig.
     pub rig: String,
     /// Serial number of the device it was measured on.
     pub device_serial: String,
@@ -96,7 +95,6 @@ pub struct Record<V> {
     /// The settings to which the values belong.
     #[serde(default)]
     pub settings: Settings,
-    /// What was found.
     pub values: V,
 }
 
@@ -131,14 +129,20 @@ pub struct Measured {
     pub std: f64,
 }
 
+impl Measured {
+    /// A value with its standard uncertainty.
+    pub const fn new(value: f64, std: f64) -> Self {
+        Self { value, std }
+    }
+}
+
 /// A value that no bench can have.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct BadValue {
     /// Dotted path of the key.
     pub key: String,
-    /// Its value.
     pub value: String,
-    /// What may stand there.
     pub allowed: String,
 }
 

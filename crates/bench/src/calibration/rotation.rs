@@ -36,37 +36,27 @@ pub struct Turn<'a> {
 
 /// Why turns cannot be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum RotationError {
     /// Fewer than two turns.
     #[error("{found} turns of the sample, at least 2 are compared")]
-    TooFew {
-        /// Turns.
-        found: usize,
-    },
+    TooFew { found: usize },
     /// A session of another bench.
     #[error("turn {} has other lights or pixels than the first", index + 1)]
     Differs {
         /// The turn, from 0.
         index: usize,
     },
-    /// The shape is another one when turned.
     #[error("the shape is another one when turned by {angle_deg}°: up to {off_mm:.3} mm elsewhere")]
     NotSymmetric {
-        /// The turn.
         angle_deg: f64,
         /// Largest distance of a turned point from the surface along the view.
         off_mm: f64,
     },
-    /// Nothing to compare.
     #[error(
         "only {found} regions of the sample are lit and in view, at least {needed} are compared"
     )]
-    NothingSeen {
-        /// Regions.
-        found: usize,
-        /// Needed.
-        needed: usize,
-    },
+    NothingSeen { found: usize, needed: usize },
 }
 
 /// A sum of squares that is χ² distributed for a good sample.

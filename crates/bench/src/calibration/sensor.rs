@@ -35,59 +35,31 @@ pub enum Exposed {
 
 /// Why frames do not make a calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SensorFitError {
-    /// A frame of another size.
     #[error("the frame has {found} pixels, the first one had {expected}")]
-    FrameSize {
-        /// Pixels of the frame.
-        found: usize,
-        /// Of the frames before.
-        expected: usize,
-    },
-    /// Too few frames of a kind.
+    FrameSize { found: usize, expected: usize },
     #[error("{what}: {found}, and at least {needed} are needed")]
     TooFew {
-        /// Of what.
         what: &'static str,
-        /// How many there are.
         found: usize,
-        /// How many it takes.
         needed: usize,
     },
     /// The brightest flats are still far from saturation.
     #[error(
         "no flat saturates; the brightest has a mean of {brightest_dn:.0} DN, so the full well remains unknown"
     )]
-    NeverSaturates {
-        /// Mean count of the brightest level, DN.
-        brightest_dn: f64,
-    },
-    /// The counts do not follow the light.
+    NeverSaturates { brightest_dn: f64 },
     #[error(
         "counts deviate by {error:.1}% from proportionality to light; at most {allowed:.0}% can be corrected"
     )]
-    NotLinear {
-        /// Largest deviation, percent.
-        error: f64,
-        /// Limit, percent.
-        allowed: f64,
-    },
-    /// The counts follow the light by no smooth curve.
+    NotLinear { error: f64, allowed: f64 },
     #[error(
         "counts deviate by up to {error:.1}% from any smooth curve below 70% of saturation; at most {allowed:.0}% can be accepted"
     )]
-    NotSmooth {
-        /// Largest deviation, percent.
-        error: f64,
-        /// Limit, percent.
-        allowed: f64,
-    },
-    /// Noise that does not grow with the light.
+    NotSmooth { error: f64, allowed: f64 },
     #[error("the variance does not grow with the mean (slope {slope:.3e} DN per DN)")]
-    NoPhotonNoise {
-        /// Slope of the curve.
-        slope: f64,
-    },
+    NoPhotonNoise { slope: f64 },
 }
 
 /// The curve is fitted up to this part of saturation (EMVA 1288, 6.6).
@@ -332,10 +304,7 @@ impl PhotonTransfer {
             });
             bend.linearity.variance(per_coefficient).sqrt()
         };
-        let gain = Measured {
-            value: line.slope,
-            std: line.slope_std.hypot(by_bend(|line| line.slope)),
-        };
+        let gain = Measured::new(line.slope, line.slope_std.hypot(by_bend(|line| line.slope)));
         let mut read_noise_e = line.read_noise_e();
         read_noise_e.std = read_noise_e
             .std

@@ -10,15 +10,11 @@ use crate::units::StageAngles;
 
 /// Why measured directions do not determine a stage.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum StageFitError {
     /// Three lights at least have as many angles as there are unknowns, and more.
     #[error("{found} lights do not determine how the stage stands; at least {needed} do")]
-    TooFew {
-        /// How many were measured.
-        found: usize,
-        /// How many are needed.
-        needed: usize,
-    },
+    TooFew { found: usize, needed: usize },
     /// Another stage, mirrored axes, a wrong image order.
     #[error(
         "light {light} at {angles} is {off_deg:.1} degrees away from where the rig file has it, and no common turn of the stage explains more than {explained_deg:.1} of it"
@@ -26,9 +22,7 @@ pub enum StageFitError {
     OtherStage {
         /// Which light, from 0.
         light: usize,
-        /// Its angles by the stage.
         angles: StageAngles,
-        /// From the rig file.
         off_deg: f64,
         /// By how much a common turn reduces that.
         explained_deg: f64,
@@ -147,10 +141,10 @@ impl Orientation {
 
 /// Angles with an elevation that counts from elsewhere.
 pub fn offset(angles: StageAngles, elevation_offset_rad: f64) -> StageAngles {
-    StageAngles {
-        azimuth_deg: angles.azimuth_deg,
-        elevation_deg: angles.elevation_deg + elevation_offset_rad.to_degrees(),
-    }
+    StageAngles::new(
+        angles.azimuth_deg,
+        angles.elevation_deg + elevation_offset_rad.to_degrees(),
+    )
 }
 
 /// The lights of a stage.
@@ -342,10 +336,7 @@ pub(super) mod tests {
         let mut angles = Vec::new();
         let mut found = Vec::new();
         for k in 0..16 {
-            let here = StageAngles {
-                azimuth_deg: 137.5 * f64::from(k),
-                elevation_deg: 35.0 + 3.4 * f64::from(k),
-            };
+            let here = StageAngles::new(137.5 * f64::from(k), 35.0 + 3.4 * f64::from(k));
             let true_light = truth * offset(here, offset_rad).to_light();
             let across = tangents(true_light);
             let own_rad = 3e-4;

@@ -32,12 +32,11 @@ pub enum State {
 
 /// The record in force of one kind.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct RecordStatus {
-    /// Its kind.
     pub kind: Kind,
     /// Whether it can be used.
     pub state: State,
-    /// Its name.
     pub id: Option<String>,
     /// When it was measured, UTC, RFC 3339.
     pub date: Option<String>,
@@ -51,8 +50,23 @@ pub struct RecordStatus {
     pub method: Option<String>,
     /// The main values with their standard uncertainties, or what holds without a record.
     pub summary: String,
-    /// What speaks against it.
     pub concerns: Vec<String>,
+}
+
+impl RecordStatus {
+    /// Whether the calibration should be made.
+    pub fn needs_calibration(&self) -> bool {
+        use Kind::*;
+        match self.state {
+            State::Good => false,
+            State::Doubtful | State::Refused => true,
+            // A linear camera has no response; lens, lights and pose may be in the rig file.
+            State::Missing => !matches!(
+                self.kind,
+                Response | Lights | Directions | Pose | Focus | Camera | Glare
+            ),
+        }
+    }
 }
 
 /// The status of every kind of record of a rig, at this time.
@@ -202,10 +216,10 @@ fn of_lamp(v: &LampValues) -> String {
     format!(
         "warm after {:.0} s, drift {} % per hour, steady from {}",
         v.warm_up_time_s,
-        pair(Measured {
-            value: 100.0 * v.drift_per_hour.value,
-            std: 100.0 * v.drift_per_hour.std,
-        }),
+        pair(Measured::new(
+            100.0 * v.drift_per_hour.value,
+            100.0 * v.drift_per_hour.std
+        )),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
     )
@@ -247,10 +261,7 @@ fn of_pose(v: &PoseValues) -> String {
     let three = |values: [f64; 3], from: usize| {
         let pairs = (0..3).map(|i| {
             let std = std[from + i];
-            pair(Measured {
-                value: values[i],
-                std,
-            })
+            pair(Measured::new(values[i], std))
         });
         pairs.collect::<Vec<_>>().join(", ")
     };
@@ -263,12 +274,7 @@ fn of_pose(v: &PoseValues) -> String {
 }
 
 fn of_glare(v: &GlareValues) -> String {
-    let percent = |m: Measured| {
-        pair(Measured {
-            value: 100.0 * m.value,
-            std: 100.0 * m.std,
-        })
-    };
+    let percent = |m: Measured| pair(Measured::new(100.0 * m.value, 100.0 * m.std));
     format!(
         "{} % of the light evenly, {} % in a halo of {:.0}% of the diagonal",
         percent(v.uniform),

@@ -27,14 +27,13 @@ impl WhiteStandard {
 
 /// Part of an image, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
 pub struct Region {
     /// First column.
     pub x: usize,
     /// First row.
     pub y: usize,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
 }
 
@@ -52,63 +51,36 @@ impl From<[usize; 4]> for Region {
 
 /// Why an image of a standard gives no scale.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum WhiteError {
-    /// A certificate that no diffuse standard has.
     #[error(
         "a reflectance of {value} ± {std} is no diffuse standard's: 0.02 to 1.2, known to a tenth"
     )]
-    Certificate {
-        /// Radiance factor.
-        value: f64,
-        /// Its standard uncertainty.
-        std: f64,
-    },
+    Certificate { value: f64, std: f64 },
     /// The lamp grazes or is behind.
     #[error("an incidence of {degrees:.1} degrees is outside 0 to 85")]
-    Incidence {
-        /// Degrees.
-        degrees: f64,
-    },
-    /// The region leaves the image or holds too few pixels.
+    Incidence { degrees: f64 },
     #[error(
         "the region of {width} x {height} pixels at ({x}, {y}) does not lie in the {image_width} x {image_height} image or holds fewer than {MIN_PIXELS} pixels without its margin"
     )]
     Region {
-        /// First column.
         x: usize,
-        /// First row.
         y: usize,
-        /// Columns.
         width: usize,
-        /// Rows.
         height: usize,
-        /// Columns of the image.
         image_width: usize,
-        /// Rows of the image.
         image_height: usize,
     },
     /// Clipped, hot or moving pixels.
     #[error("{percent:.0}% of the region's pixels are masked; at most 5% may be")]
-    Masked {
-        /// Part of the pixels.
-        percent: f64,
-    },
+    Masked { percent: f64 },
     /// Hardly any light.
     #[error("the region is dark: {mean:.3e} with a standard deviation of {std:.1e}")]
-    Dark {
-        /// Mean radiance.
-        mean: f64,
-        /// Of one pixel.
-        std: f64,
-    },
-    /// Not one evenly lit surface.
+    Dark { mean: f64, std: f64 },
     #[error(
         "the region's quarters differ by {percent:.1}% from their mean; an evenly lit standard has less than 5%"
     )]
-    Uneven {
-        /// Largest deviation.
-        percent: f64,
-    },
+    Uneven { percent: f64 },
 }
 
 /// Part of the region on each side that is ignored: light leaks out of a
@@ -146,10 +118,7 @@ pub fn irradiance(
     let cos = standard.incidence_rad.cos();
     let angle = standard.incidence_rad.tan() * standard.incidence_std_rad;
     let certificate = reflectance.std / reflectance.value;
-    let mut found = [Measured {
-        value: 0.0,
-        std: 0.0,
-    }; 3];
+    let mut found = [Measured::new(0.0, 0.0); 3];
     for (channel, found) in found.iter_mut().enumerate() {
         let mean = quarters.iter().map(|q| q.mean[channel]).sum::<f64>() / 4.0;
         let noise2 = quarters.iter().map(|q| q.variance[channel]).sum::<f64>() / 16.0;
@@ -173,10 +142,7 @@ pub fn irradiance(
         let spread2 = quarters.iter().map(|q| off(q).powi(2)).sum::<f64>() / 3.0 / 4.0;
         let relative2 = certificate.powi(2) + angle.powi(2) + spread2.max(noise2 / (mean * mean));
         let value = PI * mean / (reflectance.value * cos);
-        *found = Measured {
-            value,
-            std: value * relative2.sqrt(),
-        };
+        *found = Measured::new(value, value * relative2.sqrt());
     }
     Ok(found)
 }

@@ -41,10 +41,7 @@ impl LightIntensity {
 
     /// Whether it is the light at these angles.
     pub fn is_at(&self, angles: StageAngles) -> bool {
-        let own = StageAngles {
-            azimuth_deg: self.stage_deg[0],
-            elevation_deg: self.stage_deg[1],
-        };
+        let own = StageAngles::new(self.stage_deg[0], self.stage_deg[1]);
         own.to_light().angle_between(angles.to_light()).to_degrees() < SAME_LIGHT_DEG
     }
 }
@@ -102,10 +99,7 @@ impl WhiteLights<'_> {
         let strength = std::array::from_fn(|c| {
             let apart: f64 = each.iter().map(|e| own(e, c).powi(2)).sum();
             let relative = certificate.hypot(apart.sqrt() / count);
-            Measured {
-                value: mean[c],
-                std: mean[c] * relative,
-            }
+            Measured::new(mean[c], mean[c] * relative)
         });
         let lights = each.iter().zip(self.lights).map(|(e, (_, angles))| {
             let relative = std::array::from_fn(|c| {
@@ -114,10 +108,7 @@ impl WhiteLights<'_> {
                 let others: f64 = each.iter().map(|e| own(e, c).powi(2)).sum::<f64>();
                 let own2 = own(e, c).powi(2);
                 let variance = own2 * (1.0 - 2.0 / count) + others / (count * count);
-                Measured {
-                    value,
-                    std: value * variance.max(0.0).sqrt(),
-                }
+                Measured::new(value, value * variance.max(0.0).sqrt())
             });
             LightIntensity {
                 stage_deg: [angles.azimuth_deg, angles.elevation_deg],

@@ -271,13 +271,8 @@ mod tests {
             pilot_s: Seconds(0.02),
             shortest_s: Seconds(1e-4),
             longest_s: Seconds(2.0),
-            step_s: Seconds(1e-4),
-            peak_fraction: 0.7,
-            dark_snr: 20.0,
-            ratio: 4.0,
             max_frames: 8,
-            ambient: true,
-            dark_frames: 2,
+            ..crate::session::example::plan().exposure
         }
     }
 

@@ -8,6 +8,7 @@ use crate::units::{StageAngles, size};
 
 /// A capture could not be planned, or did not come to its end.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum CaptureError {
     /// A device failed.
     #[error(transparent)]
@@ -18,25 +19,18 @@ pub enum CaptureError {
     /// The exposure rules make no sense.
     #[error(transparent)]
     Exposure(#[from] PlanError),
-    /// A planned light is outside the soft limits.
     #[error("light {light} ({angles}) is outside the stage's limits ({limits})")]
     LightOutOfReach {
-        /// Index in the plan.
         light: usize,
-        /// Where it should be.
         angles: StageAngles,
-        /// The limits.
         limits: String,
     },
     /// Something stands between a planned light and the sample, or between the sample and
     /// the camera.
     #[error("light {light} ({angles}): {by}; {}", free_as_text(*free))]
     LightBlocked {
-        /// Index in the plan.
         light: usize,
-        /// Where it should be.
         angles: StageAngles,
-        /// What stands there.
         by: Obstruction,
         /// The nearest direction that is free: at the same azimuth, or another fixed light.
         free: Option<StageAngles>,
@@ -47,9 +41,7 @@ pub enum CaptureError {
         blocked_as_text(*blocked)
     )]
     TooManyLights {
-        /// Asked for.
         wanted: usize,
-        /// Distinct directions that are free.
         reachable: usize,
         /// Directions that the stage reaches and the camera's body blocks.
         blocked: usize,
@@ -66,13 +58,9 @@ pub enum CaptureError {
         size(*estimated_bytes), size(*reserve_bytes), folder.display(), size(*free_bytes)
     )]
     NotEnoughSpace {
-        /// Where the session would go.
         folder: std::path::PathBuf,
-        /// Estimate, bytes.
         estimated_bytes: u64,
-        /// Must remain free, bytes.
         reserve_bytes: u64,
-        /// Free, bytes.
         free_bytes: u64,
     },
     /// The file system cannot hold the session's files.
@@ -82,11 +70,8 @@ pub enum CaptureError {
         folder = folder.display()
     )]
     NotEnoughFiles {
-        /// Where the session would go.
         folder: std::path::PathBuf,
-        /// Estimate.
         estimated_files: u64,
-        /// What the file system has left.
         free_files: u64,
     },
     /// The disk is nearly full in mid-capture.
@@ -95,11 +80,8 @@ pub enum CaptureError {
         folder.display(), size(*free_bytes), size(*reserve_bytes)
     )]
     LowDisk {
-        /// The session.
         folder: std::path::PathBuf,
-        /// Free, bytes.
         free_bytes: u64,
-        /// Must remain free, bytes.
         reserve_bytes: u64,
     },
     /// The lamp is no longer what it was when the light began.
@@ -108,14 +90,11 @@ pub enum CaptureError {
         100.0 * super::exposure_check::REFUSED
     )]
     LampDrift {
-        /// Index in the plan.
         light: u32,
-        /// Which channel.
         channel: u8,
         /// Signal over that of the first frame at the same exposure.
         change: super::exposure_check::SignalRatio,
     },
-    /// The lamp is not back where it was before the stage was homed anew.
     #[error(
         "light {light}: since the stage was homed anew, the image at the same exposure differs by {:.1} % \
          (root mean square of its pixels, beyond noise), as if the lamp stood roughly {turned_deg:.2}° \
@@ -123,13 +102,11 @@ pub enum CaptureError {
         100.0 * pattern, 100.0 * explained
     )]
     LightMoved {
-        /// Index in the plan.
         light: u32,
         /// Root mean square relative change of the pixels, beyond noise.
         pattern: f64,
         /// Roughly the turn of the light that makes it, degrees.
         turned_deg: f64,
-        /// Of the rig file.
         tolerance_deg: f64,
         /// The most that this makes of `pattern`.
         explained: f64,
@@ -140,106 +117,63 @@ pub enum CaptureError {
         "light {light}: since the stage was homed anew, the images show {ratio:.3} of the signal \
          that the frames before lead to expect"
     )]
-    NotAsBefore {
-        /// Index in the plan.
-        light: u32,
-        /// Signal over expected signal.
-        ratio: f64,
-    },
+    NotAsBefore { light: u32, ratio: f64 },
     /// The sensor or the lamp has become too hot.
     #[error(
         "light {light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C"
     )]
     TooHot {
-        /// Index in the plan.
         light: u32,
-        /// Which.
         part: crate::device::temperature::Part,
-        /// As the device reports.
         temperature_c: f64,
-        /// Of the rig file.
         limit_c: f64,
     },
-    /// The camera is not the one of the plan.
     #[error("the camera's {what} is {found}, the plan was made for {expected}")]
     OtherCamera {
-        /// Which property.
         what: &'static str,
-        /// Of the camera connected.
         found: String,
-        /// Of the plan.
         expected: String,
     },
-    /// The images contradict the exposure that the camera reports.
     #[error(
         "light {light}: the exposure is {exposure_s} s by the camera, but the images show \
          {ratio:.3} of the expected signal after {discarded} discarded frames"
     )]
     ExposureNotApplied {
-        /// Index in the plan.
         light: u32,
-        /// Read back, seconds.
         exposure_s: f64,
-        /// Signal over expected signal.
         ratio: f64,
         /// Frames thrown away while waiting for the change.
         discarded: u32,
     },
-    /// No pixel shows any light from the lamp.
     #[error(
         "light {light}: the lamp is on by the stage, but the images of {exposure_s} s stay dark"
     )]
-    NoLight {
-        /// Index in the plan.
-        light: u32,
-        /// Longest exposure tried, seconds.
-        exposure_s: f64,
-    },
-    /// Every pixel is clipped in the shortest exposure.
+    NoLight { light: u32, exposure_s: f64 },
     #[error(
         "light {light}: every pixel of the sample is saturated in the shortest exposure of {exposure_s} s"
     )]
-    AllSaturated {
-        /// Index in the plan.
-        light: u32,
-        /// Shortest exposure, seconds.
-        exposure_s: f64,
-    },
+    AllSaturated { light: u32, exposure_s: f64 },
     /// Merging a bracket failed.
     #[error("light {light} could not be merged: {source}")]
     Merge {
-        /// Index in the plan.
         light: u32,
-        /// What the merge met.
         source: super::disk::SinkError,
     },
     /// The journalled frames lead to other decisions than the ones recorded.
     #[error("frame {frame} in the session was taken with {found}, the plan leads to {expected}")]
     OtherFrame {
-        /// The frame's name.
         frame: String,
-        /// In its sidecar.
         found: String,
-        /// From the plan and the frames before.
         expected: String,
     },
-    /// A thread could not be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[source] std::io::Error),
     /// A device's or the disk's thread ended unexpectedly.
     #[error("the {name} thread ended unexpectedly")]
-    WorkerGone {
-        /// Which one.
-        name: &'static str,
-    },
+    WorkerGone { name: &'static str },
     /// The lamp may still be on, and the stage may still move.
     #[error("the stage did not confirm that it stopped ({source}), after: {cause}")]
-    NotStopped {
-        /// Why it was stopped.
-        cause: String,
-        /// What the stop met.
-        source: DeviceError,
-    },
+    NotStopped { cause: String, source: DeviceError },
     /// The operator asked once.
     #[error("stopped after a frame as asked")]
     Interrupted,

@@ -1,5 +1,6 @@
 //! What is found while a capture is prepared: facts worth a remark, and those that refuse it.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use super::CaptureError;
@@ -12,24 +13,20 @@ use crate::calibration::noise::NoiseError;
 use crate::calibration::record::Kind;
 use crate::config::BuildError;
 use crate::config::ConfigError;
+use crate::config::scene_concern::SceneConcern;
 use crate::geometry::FileRemark;
 use crate::session::SceneFileError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
 use crate::transport::cache::CacheError;
-use crate::transport::visibility::{self, Visibility};
 use crate::units::StageAngles;
 
 /// Something worth a remark before a capture; it does not refuse it.
 #[derive(Debug)]
+#[allow(missing_docs)]
 pub enum Notice<'a> {
     /// A calibration record that should be measured anew.
-    Record {
-        /// Which kind of record.
-        kind: Kind,
-        /// Why.
-        concern: Concern,
-    },
+    Record { kind: Kind, concern: Concern },
     /// A record that was measured with the sensor warmer or colder.
     Temperature(Concern),
     /// The lamp takes longer to warm up than the rig file waits.
@@ -42,12 +39,7 @@ pub enum Notice<'a> {
     /// Something about the files that describe the scene.
     File(&'a FileRemark),
     /// A part of the sample is not seen.
-    View {
-        /// Which.
-        concern: &'a visibility::Concern,
-        /// What the camera sees.
-        seen: &'a Visibility,
-    },
+    View(&'a SceneConcern),
     /// The lens blurs a part of the sample by more than `capture.blur_limit_px`.
     Blur {
         /// How far.
@@ -56,14 +48,33 @@ pub enum Notice<'a> {
         limit_px: f64,
     },
     /// So many light directions are compared now, which takes a while.
-    Comparing {
-        /// How many.
-        directions: usize,
-    },
+    Comparing { directions: usize },
+}
+
+impl fmt::Display for Notice<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Record { kind, concern } => write!(out, "{}: {concern}", kind.folder()),
+            Self::Temperature(concern) => concern.fmt(out),
+            Self::WarmUp { needed_s, stated_s } => write!(
+                out,
+                "lamp: it takes {needed_s:.0} s to warm up, and capture.lamp_warm_up_s is {stated_s:.0}"
+            ),
+            Self::File(remark) => remark.fmt(out),
+            Self::View(concern) => concern.fmt(out),
+            Self::Blur { blur, limit_px } => {
+                write!(out, "depth of field: {}", blur.concern(*limit_px))
+            }
+            Self::Comparing { directions } => {
+                write!(out, "comparing {directions} light directions")
+            }
+        }
+    }
 }
 
 /// Why a capture cannot begin. Nothing has moved, and no session was written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum PrepareError {
     /// The plan.
     #[error("{0}")]
@@ -91,47 +102,27 @@ pub enum PrepareError {
     Noise(#[from] NoiseError),
     /// The sensor's noise is not known.
     #[error("there is no sensor record in {searched}")]
-    NoSensorRecord {
-        /// Where it was looked for.
-        searched: String,
-    },
+    NoSensorRecord { searched: String },
     /// The camera does not see the front of the sample.
-    #[error("{concern}")]
-    View {
-        /// What is wrong.
-        concern: visibility::Concern,
-        /// What the camera sees.
-        seen: Box<Visibility>,
-    },
+    #[error("{0}")]
+    View(#[from] Box<SceneConcern>),
     /// A planned light reaches nothing of what the camera sees.
     #[error("{concern} ({angles})")]
     Unlit {
-        /// What is wrong.
-        concern: visibility::Concern,
-        /// The light's direction.
+        concern: Box<SceneConcern>,
         angles: StageAngles,
-        /// What the camera sees.
-        seen: Box<Visibility>,
     },
     /// A direction that is listed twice: its light would count as two.
     #[error("the light direction {first} is named twice{}", spelled_otherwise(*first, *second))]
     SameLight {
-        /// First.
         first: StageAngles,
-        /// Again.
         second: StageAngles,
     },
-    /// The camera's frames have another size.
     #[error(
         "the camera gives frames of {} x {}, the rig file states {} x {}",
         is[0], is[1], stated[0], stated[1]
     )]
-    Resolution {
-        /// Of the camera, pixels.
-        is: [u32; 2],
-        /// Of the rig file, pixels.
-        stated: [u32; 2],
-    },
+    Resolution { is: [u32; 2], stated: [u32; 2] },
     /// The dictionary that light directions are compared with.
     #[error("{0}")]
     Dictionary(#[from] BrdfError),
@@ -143,10 +134,7 @@ pub enum PrepareError {
     Fit(#[from] FitRecordError),
     /// A session that was not fitted yet.
     #[error("{} holds no fit", session.display())]
-    NoFit {
-        /// Its folder.
-        session: PathBuf,
-    },
+    NoFit { session: PathBuf },
 }
 
 fn spelled_otherwise(first: StageAngles, second: StageAngles) -> String {

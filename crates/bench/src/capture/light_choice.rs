@@ -24,12 +24,14 @@ const RESOLUTION_PX: usize = 24;
 const NEAR_COSINE: f64 = 0.999_848;
 
 /// A direction and what it is expected to add.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Ranked {
     /// The direction.
+    #[serde(flatten)]
     pub light: StageAngles,
     /// Part of the BRDF's variance without images that is left after it and all before it,
     /// 0 to 1.
+    #[serde(rename = "expected_variance_left")]
     pub remaining: f64,
 }
 

@@ -44,6 +44,20 @@ impl FromStr for Lights {
     }
 }
 
+/// One light direction: `AZ,EL` in degrees.
+///
+/// # Errors
+/// What is expected instead.
+pub fn direction(text: &str) -> Result<StageAngles, String> {
+    let parsed = text.split_once(',').and_then(|(azimuth, elevation)| {
+        let number = |text: &str| text.trim().parse().ok().filter(|x: &f64| x.is_finite());
+        Some((number(azimuth)?, number(elevation)?))
+    });
+    let (azimuth_deg, elevation_deg) =
+        parsed.ok_or("two numbers in degrees with a comma between, e.g. 40,35")?;
+    Ok(StageAngles::new(azimuth_deg, elevation_deg))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,6 +73,14 @@ mod tests {
         for bad in ["best:0", "best:x", "best:1000"] {
             let error = bad.parse::<Lights>().unwrap_err();
             assert!(error.contains("from 1 to"), "{bad}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_direction_is_two_numbers() {
+        assert!(direction("-40, 35.5").is_ok());
+        for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {
+            assert!(direction(bad).is_err(), "{bad}");
         }
     }
 }

@@ -147,16 +147,8 @@ mod tests {
     use crate::units::Seconds;
 
     fn sidecar(kind: FrameKind, lamp: LampState) -> Sidecar {
-        let key = FrameKey {
-            light: 2,
-            exposure: 0,
-            repeat: 0,
-            kind,
-        };
-        let settings = CameraSettings {
-            exposure: Seconds(0.5),
-            gain: 1.0,
-        };
+        let key = FrameKey::new(2, 0, 0, kind);
+        let settings = CameraSettings::new(Seconds(0.5), 1.0);
         Sidecar::of_frame(key, lamp, settings)
     }
 
@@ -172,13 +164,7 @@ mod tests {
         );
         sink.begin(2).unwrap();
         let mut add = |kind, lamp, dn: u16| {
-            let frame = RawFrame {
-                width: 3,
-                height: 2,
-                counts: vec![64 + dn; 6],
-                sequence: None,
-                timestamp: None,
-            };
+            let frame = RawFrame::new(3, 2, vec![64 + dn; 6]);
             sink.add(&frame, &sidecar(kind, lamp)).unwrap();
         };
         add(FrameKind::Light, LampState::On(LampChannel(0)), 1100);

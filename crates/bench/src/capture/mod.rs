@@ -12,7 +12,8 @@
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
 //! - [`return_check`]: whether the lamp is back where it was, from the images;
 //! - [`run`]: the execution, interruptible and resumable;
-//! - [`Progress`]: what it reports meanwhile, to this program and others.
+//! - [`Progress`]: what it reports meanwhile, to this program and others;
+//! - [`event_lines`]: the same as lines of JSON, for other programs.
 //!
 //! Every decision during a run is a pure function of the plan and of the frames
 //! taken so far. A resumed run therefore decides what the uninterrupted one
@@ -26,6 +27,7 @@ pub mod directions;
 mod disk;
 pub mod duration;
 mod error;
+pub mod event_lines;
 pub mod exposure_check;
 pub mod findings;
 pub mod light_choice;

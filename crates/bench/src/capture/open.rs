@@ -9,9 +9,10 @@ use crate::config::BuildError;
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::described::Description;
 use crate::device::guardian::GuardedStage;
-use crate::device::manual::Operator;
+use crate::device::manual::{Nobody, Operator};
 use crate::device::simulated_camera::RadianceSource;
 use crate::device::{Camera, CameraInfo, DeviceError, LightStage, Mosaic};
+use crate::simulation::room::Room;
 use crate::units::StageAngles;
 
 /// What opening devices needs beyond the rig file.
@@ -77,6 +78,7 @@ pub enum Stopped {
 
 /// Why a device was not opened.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum OpenError {
     /// The device itself.
     #[error("{0}")]
@@ -90,17 +92,12 @@ pub enum OpenError {
         /// `stage` or `camera`.
         what: &'static str,
     },
-    /// A manual stage without [`OpenOptions::operator`].
     #[error("the stage is manual, and no operator is given")]
     NoOperator,
-    /// The camera's colour filters are others than the rig file's.
     #[error("{device}: the format's colour filters are {is}, the rig file's {stated}")]
     Mosaic {
-        /// Path.
         device: String,
-        /// Of the camera's format.
         is: Mosaic,
-        /// Of the rig file.
         stated: Mosaic,
     },
     /// The feature `serial` is off.
@@ -385,7 +382,7 @@ pub fn open_real_camera(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {
-    let camera = open_camera_for_a_look(rig, options)?;
+    let camera = open_camera(rig, options)?;
     match camera.info().exposure_range[0].0.is_nan() {
         false => Ok(camera),
         true => Err(OpenError::Device(DeviceError::Refused {
@@ -396,8 +393,8 @@ pub fn open_real_camera(
     }
 }
 
-/// Opens the camera of a rig whose devices are real; exposures of one without a control for
-/// them are NaN.
+/// Opens the camera of a rig to look through it; exposures of one without a control for them are
+/// NaN. A simulated one sees the room's light alone, as while nobody uses its stage.
 ///
 /// # Errors
 /// As [`open_devices`].
@@ -405,6 +402,22 @@ pub fn open_camera_for_a_look(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {
+    let Some(simulation) = &rig.simulation else {
+        return open_camera(rig, options);
+    };
+    let room = Room {
+        resolution_px: rig.camera.resolution_px,
+        radiance_w_m2_sr: simulation.ambient_w_m2_sr as f32,
+    };
+    let options = OpenOptions {
+        sees: Some(Arc::new(room)),
+        operator: Some(Arc::new(Nobody)),
+        ..OpenOptions::default()
+    };
+    Ok(open_devices(rig, &options)?.camera)
+}
+
+fn open_camera(rig: &RigConfig, options: &OpenOptions) -> Result<Box<dyn Camera>, OpenError> {
     let camera = &rig.camera;
     match &camera.driver {
         CameraDriver::Simulated => Err(OpenError::Simulated { what: "camera" }),

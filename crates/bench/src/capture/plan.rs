@@ -213,39 +213,28 @@ pub fn check_space(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::temperature::TemperatureLimits;
 
     fn request(lights: LightChoice) -> PlanRequest {
+        let example = crate::session::example::plan();
         PlanRequest {
             lights,
             reach: StageReach::of_angles([-170.0, 170.0], [10.0, 85.0]),
             coaxial: DVec3::Z,
             rules: PlanRecord {
                 channels: (0..3).map(LampChannel).collect(),
-                gain: 1.0,
                 exposure: ExposureRules {
                     pilot_s: Seconds(0.01),
                     shortest_s: Seconds(1e-4),
-                    longest_s: Seconds(1.0),
-                    step_s: Seconds(1e-4),
-                    peak_fraction: 0.7,
-                    dark_snr: 20.0,
-                    ratio: 4.0,
                     max_frames: 8,
-                    ambient: true,
-                    dark_frames: 2,
+                    ..example.exposure
                 },
                 settle_s: Seconds(0.5),
                 lamp_settle_s: Seconds(0.05),
-                lamp_warm_up_s: Seconds(0.0),
-                settings_latency_frames: 2,
-                revisit_first: false,
                 stage_tolerance_deg: 0.05,
-                limits: TemperatureLimits::default(),
                 estimated_s: Seconds(0.0),
                 estimated_bytes: 0,
-                estimated_files: 0,
                 lights: Vec::new(),
+                ..example
             },
             resolution_px: [64, 48],
             pace: Pace {
@@ -291,14 +280,8 @@ mod tests {
     #[test]
     fn lights_outside_the_limits_and_too_many_are_refused() {
         let listed = LightChoice::Listed(vec![
-            StageAngles {
-                azimuth_deg: 0.0,
-                elevation_deg: 80.0,
-            },
-            StageAngles {
-                azimuth_deg: 0.0,
-                elevation_deg: 86.0,
-            },
+            StageAngles::new(0.0, 80.0),
+            StageAngles::new(0.0, 86.0),
         ]);
         let error = plan(&request(listed), &noise()).unwrap_err().to_string();
         assert!(

@@ -31,10 +31,9 @@ use super::reach::StageReach;
 use super::records::Records;
 use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, region_of_interest};
 use crate::calibration::Library;
-use crate::calibration::depth_of_field::{self, DepthOfField};
-use crate::calibration::slanted_edge::FocusValues;
+use crate::calibration::depth_of_field;
 use crate::checksum::sha256_hex;
-use crate::config::BuildError;
+use crate::config::scene_concern::{DescribedIn, SceneConcern};
 use crate::config::simulation::MaterialSpec;
 use crate::config::{ResolvedRig, RigConfig};
 use crate::interrupt::Interrupt;
@@ -45,6 +44,7 @@ use crate::session::scene_files;
 use crate::session::{
     CalibrationCopy, Event, NewSession, PlanRecord, Session, SessionRecord, SessionWriter, Versions,
 };
+use crate::transport::Scene;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::units::StageAngles;
 
@@ -126,7 +126,7 @@ pub fn prepare<'a>(
 
     // What the camera sees.
     check_view(config, notice)?;
-    let blur = sample_blur(config, records.focus())?;
+    let blur = depth_of_field::of_rig(config, records.focus())?;
     let limit_px = config.capture.blur_limit_px;
     if let Some(blur) = blur.filter(|blur| blur.worst.disc_px > limit_px) {
         notice(Notice::Blur { blur, limit_px });
@@ -411,33 +411,31 @@ fn check_view(config: &RigConfig, notice: &mut dyn FnMut(Notice<'_>)) -> Result<
     for remark in scene.remarks() {
         notice(Notice::File(remark));
     }
-    let seen = Visibility::of(&scene);
-    for concern in seen.concerns() {
-        if concern.is_fatal() {
-            let seen = Box::new(seen);
-            return Err(PrepareError::View { concern, seen });
+    for concern in concerns_of(config, &scene) {
+        if concern.concern.is_fatal() {
+            return Err(Box::new(concern).into());
         }
-        notice(Notice::View {
-            concern: &concern,
-            seen: &seen,
-        });
+        notice(Notice::View(&concern));
     }
     Ok(())
 }
 
 /// Refuses lights that reach nothing of what the camera sees.
 fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), PrepareError> {
-    let seen = Visibility::of(&config.geometry.scene(lights)?);
-    for concern in seen.concerns() {
-        if let Concern::Unlit { light, .. } = concern {
+    for concern in concerns_of(config, &config.geometry.scene(lights)?) {
+        if let Concern::Unlit { light, .. } = concern.concern {
             return Err(PrepareError::Unlit {
-                concern,
+                concern: Box::new(concern),
                 angles: lights[light],
-                seen: Box::new(seen),
             });
         }
     }
     Ok(())
+}
+
+fn concerns_of(config: &RigConfig, scene: &Scene) -> Vec<SceneConcern> {
+    let seen = Visibility::of(scene);
+    SceneConcern::all(&seen, DescribedIn::Rig, &config.geometry.sample.surface)
 }
 
 /// Refuses a direction that is named twice: its light would count as two.
@@ -450,29 +448,6 @@ fn check_each_once(lights: &[StageAngles]) -> Result<(), PrepareError> {
         }
     }
     Ok(())
-}
-
-/// How far a rig's lens blurs the sample, by the record of its focus where there is one.
-/// `None` where no aperture is known or the camera does not see the sample.
-///
-/// # Errors
-/// The scene cannot be built.
-pub fn sample_blur(
-    config: &RigConfig,
-    focus: Option<&FocusValues>,
-) -> Result<Option<DepthOfField>, BuildError> {
-    let mut geometry = config.geometry.clone();
-    if let Some(focus) = focus {
-        focus.apply(&mut geometry);
-    }
-    if geometry.camera.object_na <= 0.0 {
-        return Ok(None);
-    }
-    let scene = geometry.scene(&[])?;
-    Ok(depth_of_field::over_sample(
-        &scene,
-        config.capture.blur_limit_px,
-    ))
 }
 
 fn true_material(config: &RigConfig) -> Option<String> {

@@ -79,12 +79,11 @@ pub enum DriftSpan {
 /// the journal.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
+#[allow(missing_docs)]
 pub enum Progress {
     /// A run begins; nothing has moved yet.
     Begun {
-        /// The session's folder.
         session: String,
-        /// The sample's name.
         sample: String,
         /// The planned light directions; events name a light by its index here.
         lights: Vec<StageAngles>,
@@ -102,15 +101,12 @@ pub enum Progress {
     Homing,
     /// The stage moves to a light.
     Moving {
-        /// Index.
         light: u32,
-        /// Target.
         #[serde(flatten)]
         target: StageAngles,
     },
     /// The exposures of a light are decided.
     Planned {
-        /// Index.
         light: u32,
         /// Shortest first.
         steps: Vec<BracketStep>,
@@ -120,7 +116,6 @@ pub enum Progress {
     },
     /// A frame is about to be taken.
     Frame {
-        /// Which.
         #[serde(flatten)]
         frame: FrameEvent,
         /// Whether it becomes a file; one that only compares the light after a new homing
@@ -131,7 +126,6 @@ pub enum Progress {
     },
     /// A frame is on the disk and journalled.
     Stored {
-        /// Which.
         #[serde(flatten)]
         frame: FrameEvent,
         /// The image, relative to the session's folder.
@@ -146,7 +140,6 @@ pub enum Progress {
     },
     /// The lamp was compared with itself.
     Drift {
-        /// Index of the light.
         light: u32,
         /// Number of the lamp channel.
         channel: LampChannel,
@@ -159,10 +152,7 @@ pub enum Progress {
         uncertainty: f64,
     },
     /// All frames of a light are taken; the last of them may still wait for the disk.
-    LightDone {
-        /// Index.
-        light: u32,
-    },
+    LightDone { light: u32 },
     /// All frames are taken and the lamp is off; the last images are being merged.
     Merging,
     /// The capture is paused: lamp off, stage standing, every frame on the disk.
@@ -176,13 +166,11 @@ pub enum Progress {
     },
     /// The capture is over; the lamp is off.
     Ended {
-        /// How.
         outcome: Ending,
         /// The session's folder; `None` where none was made.
         session: Option<String>,
         /// Wall time, seconds.
         elapsed_s: f64,
-        /// Why it failed.
         error: Option<String>,
         /// By what was waited for; `None` where no device was used, and for other programs.
         #[serde(skip)]
@@ -197,7 +185,6 @@ pub enum Progress {
     },
     /// The fit is done.
     Fitted {
-        /// What it comes to.
         verdict: Verdict,
         /// The fit's folder.
         fit: String,
@@ -205,29 +192,20 @@ pub enum Progress {
         report: Option<String>,
     },
     /// The fit failed; the capture is complete.
-    FitFailed {
-        /// Why.
-        error: String,
-        /// What to do.
-        hint: Option<String>,
-    },
+    FitFailed { error: String, hint: Option<String> },
     /// The reader was too slow: events are missing here.
-    Dropped {
-        /// How many.
-        count: u64,
-    },
+    Dropped { count: u64 },
 }
 
 /// Which frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
 pub struct FrameEvent {
-    /// Index of the light.
     pub light: u32,
     /// Running number of exposure and lamp channel within the light.
     pub exposure: u32,
     /// Repeat at the same settings, from 0.
     pub repeat: u32,
-    /// What it is for.
     pub kind: FrameKind,
     /// Whether it only serves to choose or check exposures and is no part of the bracket.
     pub pilot: bool,
@@ -303,12 +281,7 @@ mod tests {
 
     #[test]
     fn events_have_the_documented_form_and_are_read_again() {
-        let key = FrameKey {
-            light: 2,
-            exposure: 5,
-            repeat: 1,
-            kind: FrameKind::Light,
-        };
+        let key = FrameKey::new(2, 5, 1, FrameKind::Light);
         let lamp = LampState::On(LampChannel(1));
         let stored = Progress::Stored {
             frame: FrameEvent::new(key, false, Seconds(0.02), lamp),
@@ -323,10 +296,7 @@ mod tests {
                 "file": "raw/L002_E05_R01_light.png", "retakes": 3,
             })
         );
-        let target = StageAngles {
-            azimuth_deg: 10.0,
-            elevation_deg: 20.5,
-        };
+        let target = StageAngles::new(10.0, 20.5);
         let moving = json(Progress::Moving { light: 1, target });
         assert_eq!(
             moving,

@@ -157,10 +157,7 @@ impl StageReach {
         let mut all: Vec<(StageAngles, DVec3)> = Vec::new();
         for elevation_deg in ticks(elevation_deg) {
             for azimuth_deg in near_zero_first(ticks(azimuth_deg)) {
-                let angles = StageAngles {
-                    azimuth_deg,
-                    elevation_deg,
-                };
+                let angles = StageAngles::new(azimuth_deg, elevation_deg);
                 if !self.contains(angles) {
                     continue;
                 }
@@ -249,10 +246,7 @@ mod tests {
     }
 
     fn at(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-        StageAngles {
-            azimuth_deg,
-            elevation_deg,
-        }
+        StageAngles::new(azimuth_deg, elevation_deg)
     }
 
     /// The camera's body takes away what is around its axis, for lamps on an arm and in a

@@ -55,10 +55,9 @@ pub struct Reproducibility {
 
 /// The reproducibility at one pair of angles. All standard deviations are relative to the mean.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct ReproducibilityRow {
-    /// Half angle, degrees.
     pub theta_h_deg: f64,
-    /// Difference angle, degrees.
     pub theta_d_deg: f64,
     /// Mean of f over the sessions, 1/sr.
     pub mean: f64,
@@ -80,24 +79,17 @@ pub struct ReproducibilityRow {
 
 /// Why there is no reproducibility; facts only.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ReproducibilityError {
     /// A standard deviation needs two values.
     #[error(
         "sample {sample:?} has {count} session{} with a trusted fit and an error budget; a spread needs 2 at least",
         if *count == 1 { "" } else { "s" }
     )]
-    TooFew {
-        /// The sample.
-        sample: String,
-        /// How many there are.
-        count: usize,
-    },
+    TooFew { sample: String, count: usize },
     /// Nothing can be compared.
     #[error("sample {sample:?}: its fits have no angles in common at which f is above 0")]
-    NoCommonAngles {
-        /// The sample.
-        sample: String,
-    },
+    NoCommonAngles { sample: String },
 }
 
 impl Reproducibility {

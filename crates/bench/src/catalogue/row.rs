@@ -12,10 +12,10 @@ use crate::session::{Session, SessionError};
 
 /// A session, or a folder that should be one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct Row<F = FitRow> {
     /// The folder's name.
     pub name: String,
-    /// The sample's name.
     pub sample: Option<String>,
     /// What the operator has noted of the material.
     pub material: Option<String>,
@@ -30,7 +30,6 @@ pub struct Row<F = FitRow> {
     pub lights: usize,
     /// Light directions whose frames are all there.
     pub lights_finished: usize,
-    /// Frames taken.
     pub frames: usize,
     /// Size of all its journalled files.
     pub bytes: u64,
@@ -44,19 +43,18 @@ pub struct Row<F = FitRow> {
     pub fits: Vec<F>,
     /// Whether it has a report.
     pub report: bool,
-    /// Why it cannot be read.
     pub error: Option<Fault>,
 }
 
 /// A fit of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct FitRow {
     /// Its number in `fits/`, as the console names it.
     pub name: String,
     /// Its number in `fits/`.
     #[serde(skip)]
     pub number: u32,
-    /// Name of the dictionary.
     pub dictionary: Option<String>,
     /// Whether it can be trusted.
     pub verdict: Option<Verdict>,
@@ -66,7 +64,6 @@ pub struct FitRow {
     pub chi2: Option<f64>,
     /// Environment error against the true material, relative; only where that is known.
     pub environment_error: Option<f64>,
-    /// Why it cannot be read.
     pub error: Option<Fault>,
 }
 

@@ -19,10 +19,9 @@ use crate::simulation::glare_card;
 pub const UNIFORM_RADIANCE: f64 = 0.4;
 
 /// A simulated lamp on a white card, and the camera that looks at it.
+#[allow(missing_docs)]
 pub struct LampBench {
-    /// The camera.
     pub camera: Box<dyn Camera>,
-    /// Switches the lamp.
     pub switch: Box<dyn FnMut(bool) -> Result<(), DeviceError>>,
     clock: Clock,
 }

@@ -73,7 +73,6 @@ pub(super) struct Offered {
     pub offer: &'static str,
     /// The key that says which camera.
     pub key: &'static str,
-    /// What that key may be.
     pub allowed: &'static str,
     /// Whether the key may be this.
     pub accepts: fn(&OsStr) -> bool,

@@ -31,18 +31,36 @@ pub struct LabConfig {
     pub instrument: InstrumentFacts,
 }
 
+impl LabConfig {
+    /// Keys of what a certificate names and is not stated.
+    pub fn not_stated(&self) -> Vec<&'static str> {
+        let keys = [
+            ("organisation", self.organisation.is_none()),
+            ("laboratory", self.laboratory.is_none()),
+            ("operator", self.operator.is_none()),
+            ("contact", self.contact.is_none()),
+            ("room_temperature_c", self.room_temperature_c.is_none()),
+            (
+                "room_humidity_percent",
+                self.room_humidity_percent.is_none(),
+            ),
+        ];
+        let lacking = keys.into_iter().filter(|(_, lacks)| *lacks);
+        lacking.map(|(key, _)| key).collect()
+    }
+}
+
 /// Where the laboratory is.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
 pub struct Address {
     /// Name of the street.
     pub street: Option<String>,
     /// Number in the street.
     pub building: Option<String>,
-    /// Postal code.
     pub postal_code: Option<String>,
     /// Town.
     pub city: Option<String>,
-    /// Country.
     pub country: Option<String>,
 }
 

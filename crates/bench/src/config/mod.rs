@@ -12,6 +12,7 @@ pub mod limits;
 pub mod process;
 mod resolve;
 mod rig;
+pub mod scene_concern;
 pub mod simulation;
 pub mod stage;
 

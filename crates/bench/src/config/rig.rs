@@ -273,105 +273,35 @@ mod tests {
 
     #[test]
     fn bad_rigs_are_refused_with_the_place() {
-        const CASES: &[(&str, &str, &str)] = &[
-            (
-                "name = \"simulated\"",
-                "name = \"../x\"",
-                "`rig.name` is \"../x\"",
-            ),
-            (
-                "object_na = 0.0",
-                "radial = [-0.5, 0, 0]",
-                "`geometry.camera.radial` is [-0.5, 0.0, 0.0], but must be another distortion",
-            ),
-            (
-                "object_na = 0.0",
-                "principal_point_px = [641.0, 2.0]",
-                "`geometry.camera.principal_point_px` is [641, 2], but must be within the image",
-            ),
-            (
-                "[simulation.lens]",
-                "[simulation.lens]\nradial = [-1.0, 0.0, 0.0]",
-                "`simulation.lens.radial` is [-1.0, 0.0, 0.0], but must be another distortion",
-            ),
-            (
-                "bit_depth = 12",
-                "bit_depth = 32",
-                "`camera.bit_depth` is 32, but must be an integer from 8 to 16",
-            ),
-            (
-                "driver = \"simulated\"",
-                "driver = \"nikon\"",
-                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"gphoto2\"",
-            ),
-            (
-                "axis = \"Y\"",
-                "axis = \"X\"",
-                "`stage.elevation.axis` is X, but must be another axis",
-            ),
-            (
-                "max_deg = 90.0",
-                "max_deg = 10.0",
-                "`stage.elevation.max_deg` is 10, but must be at least min_deg (45)",
-            ),
-            (
-                "measures = \"G\"",
-                "measures = \"R\"",
-                "`stage.lamp[1].measures` is R, but must be a colour that no earlier",
-            ),
-            (
-                "on = \"M7\"",
-                "on = \"M7!\"",
-                "`stage.lamp[1].on` is \"M7!\"",
-            ),
-            (
-                "longest_ms = 500.0",
-                "longest_ms = 5000.0",
-                "`capture.longest_ms` is 5000, but must be a number from 0.05 to 2000",
-            ),
-            (
-                "driver = \"simulated\"",
-                "driver = \"command\"\ncommand = \"photo {output}\"",
-                "`camera.command` is \"photo {output}\", but must be a program with",
-            ),
-            (
-                "driver = \"simulated\"",
-                "driver = \"v4l\"\ndevice = \"/dev/video0\"\ncontrols = \"exposure = 3\"",
-                "`camera.controls` is \"exposure = 3\", but must be",
-            ),
-            ("material = ", "# ", "`simulation.material` is missing"),
-            (
-                "scale = 1.0",
-                "scale = 0.0",
-                "`stage.azimuth.scale` is 0, but must be away from 0",
-            ),
-            ("[fit]", "[fits]", "unknown key `fits`"),
-            (
-                "# model_error = 0.01",
-                "model_error = 2",
-                "`fit.model_error` is 2, but must be a number from 0 to 1",
-            ),
-            (
-                "optimizer = \"gauss-newton\"",
-                "optimizer = \"adam\"",
-                "`fit.optimizer` is \"adam\", but must be \"gauss-newton\" or",
-            ),
-            (
-                "refine_bench = false",
-                "mask = \"m.png\"",
-                "unknown key `fit.mask`",
-            ),
-            (
-                "driver = \"simulated\"",
-                "driver = \"v4l\"\ndevice = \"/dev/video0\"\nformat = \"Y12 \"",
-                "`stage.driver` is \"simulated\", but must be simulated together",
-            ),
-        ];
-        for (good, bad, expected) in CASES {
+        // A change of the simulated rig, and what is said of it.
+        const CASES: &str = r#"
+name = "simulated" => name = "../x" | `rig.name` is "../x"
+object_na = 0.0 => radial = [-0.5, 0, 0] | `geometry.camera.radial` is [-0.5, 0.0, 0.0], but must be another distortion
+object_na = 0.0 => principal_point_px = [641.0, 2.0] | `geometry.camera.principal_point_px` is [641, 2], but must be within the image
+[simulation.lens] => [simulation.lens]\nradial = [-1.0, 0.0, 0.0] | `simulation.lens.radial` is [-1.0, 0.0, 0.0], but must be another distortion
+bit_depth = 12 => bit_depth = 32 | `camera.bit_depth` is 32, but must be an integer from 8 to 16
+driver = "simulated" => driver = "nikon" | `camera.driver` is "nikon", but must be "v4l" or "command" or "folder" or "gphoto2"
+axis = "Y" => axis = "X" | `stage.elevation.axis` is X, but must be another axis
+max_deg = 90.0 => max_deg = 10.0 | `stage.elevation.max_deg` is 10, but must be at least min_deg (45)
+measures = "G" => measures = "R" | `stage.lamp[1].measures` is R, but must be a colour that no earlier
+on = "M7" => on = "M7!" | `stage.lamp[1].on` is "M7!"
+longest_ms = 500.0 => longest_ms = 5000.0 | `capture.longest_ms` is 5000, but must be a number from 0.05 to 2000
+driver = "simulated" => driver = "command"\ncommand = "photo {output}" | `camera.command` is "photo {output}", but must be a program with
+driver = "simulated" => driver = "v4l"\ndevice = "/dev/video0"\ncontrols = "exposure = 3" | `camera.controls` is "exposure = 3", but must be
+material = => # | `simulation.material` is missing
+scale = 1.0 => scale = 0.0 | `stage.azimuth.scale` is 0, but must be away from 0
+[fit] => [fits] | unknown key `fits`
+# model_error = 0.01 => model_error = 2 | `fit.model_error` is 2, but must be a number from 0 to 1
+optimizer = "gauss-newton" => optimizer = "adam" | `fit.optimizer` is "adam", but must be "gauss-newton" or
+refine_bench = false => mask = "m.png" | unknown key `fit.mask`
+driver = "simulated" => driver = "v4l"\ndevice = "/dev/video0"\nformat = "Y12 " | `stage.driver` is "simulated", but must be simulated together
+"#;
+        for case in CASES.trim().lines() {
+            let (change, expected) = case.split_once(" | ").unwrap();
+            let (good, bad) = change.split_once(" => ").unwrap();
             assert!(simulated().contains(good), "{good}");
-            let error = parse(&simulated().replacen(good, bad, 1))
-                .unwrap_err()
-                .to_string();
+            let changed = simulated().replacen(good, &bad.replace("\\n", "\n"), 1);
+            let error = parse(&changed).unwrap_err().to_string();
             assert!(error.contains(expected), "{bad}: {error}");
         }
     }

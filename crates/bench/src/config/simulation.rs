@@ -373,10 +373,7 @@ mod tests {
         let mut stage = bench.open_stage().unwrap();
         stage.home().unwrap();
         for (azimuth_deg, elevation_deg) in [(-180.0, 45.0), (180.0, 90.0), (0.0, 90.0)] {
-            let target = StageAngles {
-                azimuth_deg,
-                elevation_deg,
-            };
+            let target = StageAngles::new(azimuth_deg, elevation_deg);
             let reached = stage.move_to(target).unwrap();
             assert!(
                 (reached.azimuth_deg - azimuth_deg).abs() < 0.05,

@@ -10,10 +10,9 @@ use super::canvas::{Figure, INK, TEXT_PX, draw, fitting_style, units};
 
 /// 8-bit sRGB with opacity; row 0 is the top.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct Picture {
-    /// Pixels per row.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// R, G, B, opacity.
     pub pixels: Vec<[u8; 4]>,

@@ -6,6 +6,7 @@ use crate::config::ConfigError;
 
 /// A queue that cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum QueueError {
     /// The list of samples.
     #[error(transparent)]
@@ -16,25 +17,17 @@ pub enum QueueError {
     /// A line of the journal that is not one of its own.
     #[error("{}, line {line}: {fact}", path.display())]
     Journal {
-        /// The journal.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// What is wrong.
         fact: String,
     },
-    /// Another process works on the queue.
     #[error("{}: another process works on this queue", path.display())]
-    Locked {
-        /// The journal.
-        path: PathBuf,
-    },
+    Locked { path: PathBuf },
     /// The system refuses.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
 }

@@ -120,10 +120,10 @@ fn lights(table: &mut Section) -> Result<Option<Lights>, ConfigError> {
         return Err(table.conflict("light", "a list of directions", "left out next to `lights`"));
     }
     let direction = |mut table: Section| {
-        let angles = StageAngles {
-            azimuth_deg: table.number("azimuth_deg", -720.0..=720.0)?.required()?,
-            elevation_deg: table.number("elevation_deg", -720.0..=720.0)?.required()?,
-        };
+        let angles = StageAngles::new(
+            table.number("azimuth_deg", -720.0..=720.0)?.required()?,
+            table.number("elevation_deg", -720.0..=720.0)?.required()?,
+        );
         table.finish()?;
         Ok(angles)
     };
@@ -176,10 +176,7 @@ light = [{ azimuth_deg = 40, elevation_deg = 35.5 }]
         assert_eq!(bowl.material.as_deref(), Some("red paint, batch 12"));
         assert_eq!(bowl.comment.as_deref(), Some("matte side up"));
         assert_eq!((bowl.repeats, &bowl.lights), (3, &Some(Lights::Best(6))));
-        let listed = vec![StageAngles {
-            azimuth_deg: 40.0,
-            elevation_deg: 35.5,
-        }];
+        let listed = vec![StageAngles::new(40.0, 35.5)];
         assert_eq!(old.lights, Some(Lights::Listed(listed)));
         assert_eq!(
             read("sample = [{ name = \"a\", lights = 4 }]")

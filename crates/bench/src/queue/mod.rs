@@ -28,8 +28,10 @@ mod error;
 mod journal;
 mod list;
 mod state;
+mod work;
 
 pub use error::QueueError;
 pub use journal::JOURNAL_ENDING;
 pub use list::{Sample, SampleList};
 pub use state::{Entry, Queue, RunState, Step, Unreadable};
+pub use work::{Answer, Fitted, Question, Worker, carry_out};

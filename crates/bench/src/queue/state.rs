@@ -24,33 +24,24 @@ pub struct Queue {
 
 /// A session of the queue that is there, but is none any more: it counts as never made.
 #[derive(Debug)]
+#[allow(missing_docs)]
 pub struct Unreadable {
-    /// The sample's name.
     pub sample: String,
     /// Name of the session.
     pub session: String,
-    /// Why.
     pub error: SessionError,
 }
 
 /// What is to be done next.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub enum Step {
     /// The capture of this session was interrupted: it goes on first.
-    Resume {
-        /// The sample's name.
-        sample: String,
-        /// The session's folder.
-        session: PathBuf,
-    },
+    Resume { sample: String, session: PathBuf },
     /// This session is captured; its fit is missing.
-    Fit {
-        /// The session's folder.
-        session: PathBuf,
-    },
+    Fit { session: PathBuf },
     /// A new session of this sample.
     Capture {
-        /// The sample.
         sample: Sample,
         /// Which of its sessions, from 1; those that were left out count.
         run: usize,

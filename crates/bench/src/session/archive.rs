@@ -32,6 +32,7 @@ const PIECE: usize = 1 << 16;
 
 /// A session could not be packed or unpacked.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ArchiveError {
     /// The session, or what was unpacked, is damaged, or the folder is there already.
     #[error(transparent)]
@@ -39,33 +40,18 @@ pub enum ArchiveError {
     /// The file is no archive of a session, or was changed.
     #[error("{} is no packed session: {why}", path.display())]
     Refused {
-        /// The archive.
         path: PathBuf,
         /// What is not as a session's archive has it.
         why: String,
     },
     /// A file of the session has a name that an archive or another machine cannot take.
     #[error("{} cannot be packed: {why}", path.display())]
-    Unpackable {
-        /// The session.
-        path: PathBuf,
-        /// Which file, and what is wrong.
-        why: String,
-    },
-    /// The archive would be a file of the session.
+    Unpackable { path: PathBuf, why: String },
     #[error("{} is inside the session, which would then hold what its journal does not know", path.display())]
-    Inside {
-        /// The archive.
-        path: PathBuf,
-    },
+    Inside { path: PathBuf },
     /// The system refuses.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The archive or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 /// Writes the session in `root` to the file `out`, in place of any of that name. What was found

@@ -16,10 +16,9 @@ const LARGEST_FILE_BYTES: u64 = 4 << 30;
 /// A mesh or table that a rig file names cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
+#[allow(missing_docs)]
 pub struct SceneFileError {
-    /// The file.
     pub path: PathBuf,
-    /// The system's error.
     pub source: std::io::Error,
 }
 

@@ -7,157 +7,102 @@ use crate::file_system::has_no_more_files;
 
 /// A session could not be written, read or trusted.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SessionError {
     /// The folder or file that was to be made is there already.
     #[error("{} exists already", path.display())]
-    Exists {
-        /// What exists.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// The folder holds no session.
     #[error("{} is not a session: {why}", path.display())]
-    NotASession {
-        /// The folder.
-        path: PathBuf,
-        /// What is missing.
-        why: String,
-    },
-    /// The disk is full.
+    NotASession { path: PathBuf, why: String },
     #[error("no space left on the disk of {} ({operation})", path.display())]
     DiskFull {
-        /// What was being written.
         path: PathBuf,
         /// Which operation met the end of the disk.
         operation: &'static str,
     },
-    /// The file system holds as many files as it can.
     #[error("the file system of {} has no more files to give ({operation})", path.display())]
     NoMoreFiles {
-        /// What was being written.
         path: PathBuf,
-        /// Which operation met it.
         operation: &'static str,
     },
     /// What the user may write is used up.
     #[error("the disk quota is used up ({operation} {})", path.display())]
     OverQuota {
-        /// What was being written.
         path: PathBuf,
-        /// Which operation met it.
         operation: &'static str,
     },
     /// Any other failure of the file system.
     #[error("cannot {operation} {}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
         /// What was tried, e.g. `rename`.
         operation: &'static str,
-        /// The system's error.
         source: io::Error,
     },
     /// A file holds other bytes than the journal says.
     #[error("{} has SHA-256 {actual}, the journal records {expected}", path.display())]
     Checksum {
-        /// The file.
         path: PathBuf,
         /// From the journal, hexadecimal.
         expected: String,
         /// Of the file, hexadecimal.
         actual: String,
     },
-    /// A file has another length than the journal says.
     #[error("{} has {actual_bytes} bytes, the journal records {expected_bytes}", path.display())]
     Length {
-        /// The file.
         path: PathBuf,
-        /// From the journal.
         expected_bytes: u64,
-        /// Of the file.
         actual_bytes: u64,
     },
-    /// A file or folder of the session is a link.
     #[error("{} is a link to {}, and a session holds its files itself", path.display(), target.display())]
-    Link {
-        /// The link.
-        path: PathBuf,
-        /// Where it leads, as it reports.
-        target: PathBuf,
-    },
+    Link { path: PathBuf, target: PathBuf },
     /// A value of `session.toml` is outside its range.
     #[error("{}: `{key}` is {value}, but must be {allowed}", path.display())]
     Value {
-        /// The file.
         path: PathBuf,
-        /// Dotted path of the key.
         key: String,
-        /// As it stands there.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
-    /// The light has no merged image, because its capture did not come to its end.
     #[error(
         "light {light} of {} has no merged image, because the capture ended after {finished} of {planned} lights ({reason})",
         path.display()
     )]
     NotCaptured {
-        /// The session.
         path: PathBuf,
-        /// Index in the plan.
         light: u32,
-        /// Lights whose frames are all there.
         finished: usize,
-        /// Lights of the plan.
         planned: usize,
         /// Why the capture ended, as far as the journal knows.
         reason: String,
     },
     /// A journalled file is gone.
     #[error("{} is in the journal but not on the disk", path.display())]
-    Missing {
-        /// The file.
-        path: PathBuf,
-    },
+    Missing { path: PathBuf },
     /// A line of the journal is not what was written.
     #[error("{}, line {line}: {why}", path.display())]
     CorruptJournal {
-        /// The journal.
         path: PathBuf,
         /// Line number, from 1.
         line: usize,
-        /// What is wrong with it.
         why: String,
     },
     /// A file of the session is malformed.
     #[error("{}: {why}", path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        why: String,
-    },
+    Malformed { path: PathBuf, why: String },
     /// Another process writes this session.
     #[error("{} is being written by another process", path.display())]
-    Locked {
-        /// The session.
-        path: PathBuf,
-    },
+    Locked { path: PathBuf },
     /// The sample's name cannot be part of a folder name.
     #[error(
         "sample name {name:?} is not 1 to 64 letters, digits, dots, hyphens or underscores \
          that start with a letter or a digit"
     )]
-    SampleName {
-        /// The name.
-        name: String,
-    },
+    SampleName { name: String },
     /// A raw frame is committed a second time.
     #[error("{} is journalled already; raw frames are never replaced", path.display())]
-    FrameTaken {
-        /// The frame's file.
-        path: PathBuf,
-    },
+    FrameTaken { path: PathBuf },
 }
 
 impl SessionError {

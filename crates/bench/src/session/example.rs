@@ -75,13 +75,7 @@ pub fn plan() -> PlanRecord {
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
         estimated_files: 0,
-        lights: vec![
-            StageAngles {
-                azimuth_deg: 10.0,
-                elevation_deg: 80.0,
-            };
-            2
-        ],
+        lights: vec![StageAngles::new(10.0, 80.0); 2],
     }
 }
 

@@ -16,7 +16,6 @@
 //! the files to a session, each journalled, `fit.toml` last: a folder without it
 //! is no fit.
 
-mod bench;
 mod budget;
 pub mod coverage;
 #[doc(hidden)]
@@ -25,6 +24,7 @@ mod find;
 mod folder;
 pub mod lookup;
 mod posterior;
+mod refined;
 mod tables;
 mod verdict;
 
@@ -46,7 +46,6 @@ use crate::session::SessionError;
 
 pub use crate::inverse::intervals::Interval;
 pub use crate::scores::{ChannelScore, MetricScores, ScoreSheet};
-pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
 pub use find::{find, find_in_session};
 pub use folder::parse;
@@ -56,6 +55,7 @@ pub use folder::{
 };
 pub(in crate::session) use folder::{commit_numbered, numbers_of, write_files};
 pub use posterior::PosteriorRecord;
+pub use refined::{BenchParameter, BenchRecord};
 pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 
@@ -185,11 +185,11 @@ pub struct DiscrepancyRecord {
 /// Everything that a fit leaves, but its images. Serialised, it is `fit.toml` without its format
 /// and verdict: what is in tables of its own is left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
 pub struct FitRecord {
     /// The images come from a simulated bench.
     #[serde(skip_serializing)]
     pub simulated: bool,
-    /// Name of the dictionary.
     pub dictionary: String,
     /// Final value of the objective, dimensionless.
     pub loss: f64,
@@ -220,7 +220,6 @@ pub struct FitRecord {
         with = "count"
     )]
     pub posterior: Option<PosteriorRecord>,
-    /// How it was run.
     pub settings: FitSettings,
     /// Versions of the program and of what it ran on, by name.
     #[serde(default)]
@@ -410,57 +409,39 @@ impl From<&Comparison> for FitImages {
 
 /// What can be wrong with a fit's folder; facts only.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FitRecordError {
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
     /// The folder is there already and not empty.
     #[error("{} exists and is not empty", path.display())]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The folder holds no fit and is no session that has one.
+    Exists { path: PathBuf },
     #[error("{} holds no fit (no fit.toml, no fits/)", folder.display())]
-    NoFit {
-        /// The folder.
-        folder: PathBuf,
-    },
+    NoFit { folder: PathBuf },
     /// A text file that does not parse.
     #[error("{}, line {line}: {key}: {fact}", path.display())]
     Syntax {
-        /// The file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// The key or column concerned.
         key: String,
-        /// What is wrong.
         fact: String,
     },
     /// A value out of its range.
     #[error("{}: {key} is {value}, allowed is {allowed}", path.display())]
     Value {
-        /// The file.
         path: PathBuf,
-        /// The key or column.
         key: String,
-        /// What stands there.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
     /// A file in a session that no journal record names.
     #[error("{} is not in the session's journal", path.display())]
-    NotVouchedFor {
-        /// The file.
-        path: PathBuf,
-    },
+    NotVouchedFor { path: PathBuf },
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),

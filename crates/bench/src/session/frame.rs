@@ -57,10 +57,7 @@ impl Sidecar {
     /// Of a frame that another program has taken, as the merge needs it: at the zenith, by a
     /// sensor of 12 bits without colour filters and a black level of 64 DN, as requested.
     pub fn of_frame(key: FrameKey, lamp: LampState, settings: CameraSettings) -> Self {
-        let zenith = StageAngles {
-            azimuth_deg: 0.0,
-            elevation_deg: 90.0,
-        };
+        let zenith = StageAngles::new(0.0, 90.0);
         Self {
             key,
             pilot: false,
@@ -163,13 +160,7 @@ pub fn decode_png(png: &[u8]) -> Result<RawFrame, String> {
     decoder
         .read_image(bytemuck::cast_slice_mut(&mut counts))
         .map_err(text)?;
-    Ok(RawFrame {
-        width,
-        height,
-        counts,
-        sequence: None,
-        timestamp: None,
-    })
+    Ok(RawFrame::new(width, height, counts))
 }
 
 #[cfg(test)]

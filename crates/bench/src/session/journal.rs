@@ -53,6 +53,7 @@ impl FileDigest {
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
+#[allow(missing_docs)]
 pub enum Event {
     /// The session exists; nothing has moved yet.
     Start {
@@ -83,7 +84,6 @@ pub enum Event {
     },
     /// Frames of a light direction follow.
     LightStart {
-        /// Index in the plan.
         light: u32,
         /// Read back after the move, degrees.
         azimuth_deg: f64,
@@ -100,20 +100,15 @@ pub enum Event {
         sidecar: FileDigest,
     },
     /// All frames of a light direction are journalled.
-    LightStop {
-        /// Index in the plan.
-        light: u32,
-    },
+    LightStop { light: u32 },
     /// Something that a reader of the session should know.
     Warning {
         /// Index of the light direction in the plan.
         light: u32,
-        /// The fact.
         text: String,
     },
     /// Any other file is on the disk; a later record of the same path replaces it.
     File {
-        /// The file.
         #[serde(flatten)]
         file: FileDigest,
     },
@@ -122,10 +117,7 @@ pub enum Event {
     /// The capture goes on after a pause.
     Continued,
     /// The operator or an error ended the work before its end.
-    Interrupted {
-        /// Why.
-        reason: String,
-    },
+    Interrupted { reason: String },
     /// The capture is complete.
     Stop,
 }
@@ -364,12 +356,7 @@ mod tests {
                 elevation_deg: 81.0,
             },
             Event::Frame {
-                key: FrameKey {
-                    light: 0,
-                    exposure: 3,
-                    repeat: 1,
-                    kind: FrameKind::Ambient,
-                },
+                key: FrameKey::new(0, 3, 1, FrameKind::Ambient),
                 image: FileDigest::of("raw/a.png", b"counts"),
                 sidecar: FileDigest::of("raw/a.toml", b"sidecar"),
             },

@@ -120,12 +120,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_documentation() {
-        let key = FrameKey {
-            light: 3,
-            exposure: 2,
-            repeat: 0,
-            kind: FrameKind::Light,
-        };
+        let key = FrameKey::new(3, 2, 0, FrameKind::Light);
         assert_eq!(frame_stem(key), "L003_E02_R00_light");
         assert_eq!(radiance_file(3), "derived/radiance_L003.exr");
         let created: jiff::Timestamp = "2026-11-21T02:34:00Z".parse().unwrap();

@@ -13,6 +13,7 @@ use super::layout::{
     self, JOB_LOCK_FILE, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE,
 };
 use super::{Session, SessionError, journalled};
+use crate::units::StageAngles;
 
 /// What a check of a session found.
 #[derive(Debug)]
@@ -42,6 +43,80 @@ impl Verification {
     /// no stray and no torn line. An interrupted session can be intact.
     pub fn is_intact(&self) -> bool {
         self.problems.is_empty() && self.strays.is_empty() && self.torn_bytes == 0
+    }
+}
+
+impl Verification {
+    /// As a machine reads it, of the session or archive at this path.
+    pub fn stated_of(&self, session: &Path) -> serde_json::Value {
+        let problems = self.problems.iter().map(ToString::to_string);
+        let strays = self.strays.iter().map(|stray| stray.to_string_lossy());
+        serde_json::json!({
+            "session": session.to_string_lossy(),
+            "intact": self.is_intact(),
+            "complete": self.complete,
+            "files": self.good_files,
+            "bytes": self.good_bytes,
+            "problems": problems.collect::<Vec<_>>(),
+            "strays": strays.collect::<Vec<_>>(),
+            "torn_bytes": self.torn_bytes,
+            "suspect": self.suspicion,
+            "clock_step": self.clock_step,
+        })
+    }
+
+    /// A line for each finding, and one for what is good.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines: Vec<_> = (self.problems.iter())
+            .map(|problem| format!("damaged  {problem}"))
+            .collect();
+        let strays = self.strays.iter().map(|stray| stray.display());
+        lines.extend(strays.map(|stray| format!("stray    {stray} is in no journal record")));
+        if self.torn_bytes > 0 {
+            let bytes = self.torn_bytes;
+            lines.push(format!(
+                "torn     the journal ends in {bytes} bytes of an unfinished line"
+            ));
+        }
+        lines.extend(self.suspicion.iter().map(|what| format!("suspect  {what}")));
+        lines.extend(
+            self.clock_step
+                .iter()
+                .map(|what| format!("times    {what}")),
+        );
+        let state = match self.complete {
+            true => "complete",
+            false => "interrupted",
+        };
+        let (files, bytes) = (self.good_files, self.good_bytes);
+        lines.push(format!("{state}, {files} files, {bytes} bytes good"));
+        lines
+    }
+}
+
+/// How far a light of a session is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
+pub struct LightState {
+    /// Index in the plan.
+    pub light: u32,
+    #[serde(flatten)]
+    pub angles: StageAngles,
+    /// Frames journalled.
+    pub frames: usize,
+    pub finished: bool,
+}
+
+impl Session {
+    /// The lights of the plan, and how far each is.
+    pub fn lights(&self) -> impl Iterator<Item = LightState> {
+        let lights = self.record().plan.lights.iter().zip(0..);
+        lights.map(|(&angles, light)| LightState {
+            light,
+            angles,
+            frames: self.frames().filter(|f| f.key.light == light).count(),
+            finished: self.light_is_finished(light),
+        })
     }
 }
 

@@ -12,6 +12,7 @@ mod interreflection;
 pub mod photograph;
 pub mod pixels;
 pub mod posed_sample;
+pub mod room;
 mod view;
 pub mod white_standard;
 
@@ -185,10 +186,10 @@ impl TruthSource {
 
     /// The scene with the lamp where a key of these steps says that it stands.
     fn lit(&self, [azimuth, elevation, ..]: [i64; 4], step_deg: f64) -> Scene {
-        self.studio().lit_by((self.truth.light)(StageAngles {
-            azimuth_deg: azimuth as f64 * step_deg,
-            elevation_deg: elevation as f64 * step_deg,
-        }))
+        self.studio().lit_by((self.truth.light)(StageAngles::new(
+            azimuth as f64 * step_deg,
+            elevation as f64 * step_deg,
+        )))
     }
 
     /// Independent numbers for every position to which the lamp is sent, and the same at
@@ -237,10 +238,7 @@ impl Studio {
             proposal: Proposal::default(),
         };
         // The same for all lamps, and whichever is lit first: by one above the stage.
-        let above = (truth.light)(StageAngles {
-            azimuth_deg: 0.0,
-            elevation_deg: 90.0,
-        });
+        let above = (truth.light)(StageAngles::new(0.0, 90.0));
         let candidates = vec![
             Proposal::default(),
             Proposal::of_lobes([(0.3, 0.1)]),

@@ -32,11 +32,7 @@ pub fn scene(mesh: Mesh, projection: Projection, turned_rad: [[f64; 2]; 2]) -> S
         |(&[azimuth_deg, elevation_deg], [z, x]): (&[f64; 2], [f64; 2])| Light::Directional {
             to_light: DQuat::from_rotation_z(z)
                 * DQuat::from_rotation_x(x)
-                * StageAngles {
-                    azimuth_deg,
-                    elevation_deg,
-                }
-                .to_light(),
+                * StageAngles::new(azimuth_deg, elevation_deg).to_light(),
             irradiance: [1.0, 2.0, 0.5],
             angular_radius_rad: 0.0,
         };

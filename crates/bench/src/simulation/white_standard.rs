@@ -35,10 +35,7 @@ pub fn camera() -> Camera {
 
 /// Set-points of a lamp, degrees.
 pub fn at(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 /// A far lamp and two near ones as they are described.

@@ -57,7 +57,6 @@ impl Rows for MemoryRows<'_> {
 
 /// An image that is about to be read.
 pub(super) struct Source<R> {
-    /// Its rows.
     pub rows: R,
     /// Its name in messages.
     pub file: String,

@@ -20,6 +20,7 @@ use crate::transport::Kernel;
 /// A workflow could not be carried out. A wrapped error shows its own text and is the
 /// `source`.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum WorkflowError {
     /// The session cannot be read or written.
     #[error("{0}")]
@@ -42,19 +43,12 @@ pub enum WorkflowError {
     /// A merged image of a session is missing, damaged or cannot be read.
     #[error("{source}")]
     MergedImage {
-        /// The session's folder.
         session: PathBuf,
-        /// What is wrong with the image.
         source: Box<WorkflowError>,
     },
     /// The mask cannot be used.
     #[error("{}: {fact}", path.display())]
-    Mask {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        fact: String,
-    },
+    Mask { path: PathBuf, fact: String },
     /// The camera doesn't see the sample, or the lights don't reach it.
     #[error("{0}")]
     Scene(#[from] Box<SceneConcern>),
@@ -64,9 +58,7 @@ pub enum WorkflowError {
     /// No pixel of an image can be compared.
     #[error("{file}: {source}{}", masked(mask))]
     NothingValid {
-        /// The image.
         file: String,
-        /// The fact.
         source: AverageError,
         /// The mask and the part of the image that it leaves, percent.
         mask: Option<(PathBuf, f64)>,
@@ -74,15 +66,11 @@ pub enum WorkflowError {
     /// The images cannot be those of the scene.
     #[error("{}{source}", file.as_ref().map_or(String::new(), |file| format!("{file}: ")))]
     Implausible {
-        /// The image at fault, if one is.
         file: Option<String>,
-        /// The fact.
         source: Implausible,
     },
-    /// The processor cannot run the kernel.
     #[error("this processor lacks what kernel {0} needs")]
     Kernel(Kernel),
-    /// Uncertainties of a bench that is not refined.
     #[error("it is stated how well the bench is known, but the bench is not refined")]
     UnusedUncertainty,
     /// The fit needs more memory than it may have.

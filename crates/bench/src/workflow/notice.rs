@@ -2,30 +2,24 @@
 
 use std::fmt;
 
-use super::scene_concern::SceneConcern;
 use super::{FitWork, UNSTATED_NOISE};
+use crate::config::scene_concern::SceneConcern;
 use crate::progress::Progress;
 
 /// A fact that is worth knowing before the result is there.
 #[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
 pub enum Notice<'a> {
     /// The bench is taken from a calibration record, not from the rig file.
     ByRecord {
         /// What the record measured, such as `irradiance`.
         what: &'static str,
-        /// The record.
         id: &'a str,
     },
     /// The lens of a record cannot be used.
-    UnusableLens {
-        /// The record.
-        id: &'a str,
-        /// Why.
-        fact: &'a str,
-    },
+    UnusableLens { id: &'a str, fact: &'a str },
     /// A record of light directions lacks some of the lights.
     UnmeasuredDirections {
-        /// The record.
         id: &'a str,
         /// Lights without a measured direction.
         lights: usize,
@@ -46,10 +40,7 @@ pub enum Notice<'a> {
     /// Something of the scene makes it hard to measure.
     Scene(&'a SceneConcern),
     /// An image states no variance.
-    AssumedNoise {
-        /// The image.
-        file: &'a str,
-    },
+    AssumedNoise { file: &'a str },
     /// Images whose names carry numbers that are not in order.
     ImageOrder {
         /// The names, in the order in which the images are taken for the lights'.
@@ -70,7 +61,6 @@ pub enum Notice<'a> {
     Work(FitWork),
     /// The material differs from every mixture of the dictionary.
     Discrepancy {
-        /// The dictionary.
         dictionary: &'a str,
         /// How much, in units of what measured materials usually do.
         amplitude: f64,

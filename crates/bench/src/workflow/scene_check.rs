@@ -2,7 +2,7 @@
 
 use super::WorkflowError;
 use super::notice::{Notice, Observer};
-use super::scene_concern::{DescribedIn, SceneConcern};
+use crate::config::scene_concern::{DescribedIn, SceneConcern};
 use crate::config::view::SurfaceSpec;
 use crate::transport::Scene;
 use crate::transport::visibility::Visibility;

@@ -14,19 +14,16 @@ use crate::units::StageAngles;
 
 /// A captured session as a fit starts from it; its images are yet to be read.
 pub(super) struct CapturedSession {
-    /// The session.
     pub session: Session,
-    /// The rig as it was.
     pub config: RigConfig,
     /// Angles of the stage for each light, as read back.
     pub positions: Vec<StageAngles>,
 }
 
 /// A session with all that a calibration by it starts from.
+#[allow(missing_docs)]
 pub struct SessionImages {
-    /// The session.
     pub session: Session,
-    /// The rig as it was.
     pub config: RigConfig,
     /// Angles of the stage for each light, as read back.
     pub places: Vec<StageAngles>,

@@ -13,21 +13,13 @@ use crate::transport::Projection;
 
 /// Why a result cannot be stated.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum StatedResultError {
-    /// A fit of image files: nobody knows where and when these were taken.
     #[error("{} is a fit outside a session: where and when its images were taken is not known", folder.display())]
-    NoSession {
-        /// The fit's folder.
-        folder: PathBuf,
-    },
+    NoSession { folder: PathBuf },
     /// The session has no fit of this number.
     #[error("{} has no fit {number}", session.display())]
-    NoSuchFit {
-        /// The session.
-        session: PathBuf,
-        /// The number.
-        number: u32,
-    },
+    NoSuchFit { session: PathBuf, number: u32 },
     /// The fit cannot be read.
     #[error(transparent)]
     Fit(#[from] FitRecordError),

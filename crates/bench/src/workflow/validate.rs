@@ -11,7 +11,6 @@ use super::fit_run::Run;
 use super::fit_session::prepared;
 use super::notice::Observer;
 use super::scene_check::check_scene;
-use super::scene_concern::DescribedIn;
 use super::validate_baselines::{Fitted, Neighbours, lambertian};
 use super::validate_keep::picture_of;
 use super::validate_pixels::{Pixel, compared, of_sample};
@@ -20,6 +19,7 @@ use super::validate_score::{Compared, Tally};
 use super::{FitRequest, NamedImage, WorkflowError};
 use crate::cells::AverageError;
 use crate::config::scene::SceneFile;
+use crate::config::scene_concern::DescribedIn;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record::FitRecord;
 use crate::session::utc_now;
@@ -41,31 +41,17 @@ pub enum HoldOut {
 
 /// Lights that cannot be divided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum HoldOutError {
-    /// There is one light, or none.
     #[error(
         "{lights} of the scene's lights has an image; one to fit and one to predict are needed"
     )]
-    TooFew {
-        /// The lights.
-        lights: usize,
-    },
+    TooFew { lights: usize },
     /// Nothing is left to fit or to predict.
     #[error("{held_out} of {lights} lights are to be predicted; allowed are 1 to {}", lights - 1)]
-    Count {
-        /// Lights to predict.
-        held_out: usize,
-        /// All lights.
-        lights: usize,
-    },
-    /// A light that is not there.
+    Count { held_out: usize, lights: usize },
     #[error("there is no light {light}: the lights are 0 to {}", lights - 1)]
-    NoSuchLight {
-        /// As given.
-        light: usize,
-        /// All lights.
-        lights: usize,
-    },
+    NoSuchLight { light: usize, lights: usize },
 }
 
 impl HoldOut {

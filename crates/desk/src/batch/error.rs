@@ -10,154 +10,91 @@ use crate::workflow::WorkflowError;
 
 /// A batch could not be made, run or collected.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BatchError {
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
         path: PathBuf,
-        /// Its reason.
         source: std::io::Error,
     },
     /// A list or a file of jobs that does not parse.
     #[error("{}, line {line}: {fact}", path.display())]
     Syntax {
-        /// The file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// What is wrong.
         fact: String,
     },
-    /// There is no session to fit.
     #[error("no session is named")]
     Empty,
     /// The folder holds something else.
     #[error("{}: not empty, and no batch's folder", path.display())]
-    ForeignFolder {
-        /// The folder.
-        path: PathBuf,
-    },
+    ForeignFolder { path: PathBuf },
     /// The folder holds no batch.
     #[error("{}: there is no batch (no jobs.toml)", path.display())]
-    NoBatch {
-        /// The folder.
-        path: PathBuf,
-    },
+    NoBatch { path: PathBuf },
     /// The batch was made by another version of the program.
     #[error("{}: its jobs are of rig {then}, and this is rig {now}", path.display())]
     OtherVersion {
-        /// The file of jobs.
         path: PathBuf,
-        /// The version that wrote it.
         then: String,
-        /// This program's.
         now: String,
     },
-    /// The folder holds a batch of other jobs.
     #[error("{}: a batch of other jobs: {difference}", path.display())]
-    OtherJobs {
-        /// The file of jobs.
-        path: PathBuf,
-        /// The first difference, then and now.
-        difference: String,
-    },
+    OtherJobs { path: PathBuf, difference: String },
     /// A session is named twice.
     #[error("job {second}: {} is job {first} already", session.display())]
     Duplicate {
-        /// The session.
         session: PathBuf,
-        /// Number of the job that has it.
         first: usize,
-        /// Number of the other.
         second: usize,
     },
     /// The session of a job cannot be fitted.
     #[error("job {job}: {source}")]
     Session {
-        /// Number of the job.
         job: usize,
-        /// What is wrong.
         source: Box<WorkflowError>,
     },
     /// A session whose capture did not come to its end.
     #[error("job {job}: {} is not captured completely: {finished} of {planned} lights", session.display())]
     Incomplete {
-        /// Number of the job.
         job: usize,
-        /// The session.
         session: PathBuf,
-        /// Lights that are finished.
         finished: usize,
-        /// Lights that are planned.
         planned: usize,
     },
-    /// Options that no fit has.
     #[error("job {job}, fit \"{options}\": {fact}")]
     Options {
-        /// Number of the job.
         job: usize,
-        /// As they were given.
         options: String,
-        /// What is wrong with them.
         fact: String,
     },
     /// Another session stands where the job's stood.
     #[error("job {job}: {} is another session than the one that the batch was made with", session.display())]
-    OtherSession {
-        /// Number of the job.
-        job: usize,
-        /// Where it stands.
-        session: PathBuf,
-    },
-    /// The job was done with other options, another version or another mask or dictionary.
+    OtherSession { job: usize, session: PathBuf },
     #[error("{}: job {job} was done with other options than it has now", path.display())]
-    OtherOptions {
-        /// The job's record.
-        path: PathBuf,
-        /// Number of the job.
-        job: usize,
-    },
-    /// A record that is none.
+    OtherOptions { path: PathBuf, job: usize },
+    /// An invalid record.
     #[error("{}: {fact}", path.display())]
-    Record {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        fact: String,
-    },
-    /// There is no job of this number.
+    Record { path: PathBuf, fact: String },
     #[error("there is no job {index}: {} has jobs 1 to {jobs}", path.display())]
     NoSuchJob {
-        /// As asked for.
         index: usize,
-        /// How many there are.
         jobs: usize,
-        /// The file of jobs.
         path: PathBuf,
     },
-    /// So many fits at a time do not fit into the memory.
     #[error(
         "{parallel} fits at a time need about {needed_mib} MiB of memory, and {free_mib} MiB are free"
     )]
     Memory {
-        /// Fits at a time.
         parallel: usize,
-        /// What they need, MiB.
         needed_mib: u64,
-        /// What is free, MiB.
         free_mib: u64,
-        /// So many would fit.
         fitting: usize,
     },
-    /// More tasks than an array may have.
     #[error("a job array has 1 to {most} tasks, not {tasks}")]
-    Tasks {
-        /// As asked for.
-        tasks: usize,
-        /// How many are possible.
-        most: usize,
-    },
+    Tasks { tasks: usize, most: usize },
     /// A command line that no job script can hold.
     #[error(transparent)]
     Script(#[from] LineBreak),

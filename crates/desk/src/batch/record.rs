@@ -16,7 +16,6 @@ const LARGEST_RECORD_BYTES: u64 = 4 << 20;
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct JobRecord {
-    /// Number of the job.
     pub job: usize,
     /// [`Job::key`] when it was done.
     pub key: String,

@@ -170,6 +170,7 @@ pub fn table(
 
 /// Why nothing was exported.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ExportError {
     /// The fit's atoms make no BRDF, or the table could not be written.
     #[error(transparent)]
@@ -181,21 +182,15 @@ pub enum ExportError {
     #[cfg(feature = "figures")]
     #[error(transparent)]
     Picture(#[from] crate::plot::PlotError),
-    /// No cell of the table is constrained by the images: nothing was measured.
     #[error("the images constrain no cell of the fit's table: there is no measured value to write")]
     NothingConstrained,
     /// The format states more than a fit knows.
     #[error("format {format} needs the session of the fit")]
-    NeedsSession {
-        /// Its name.
-        format: &'static str,
-    },
+    NeedsSession { format: &'static str },
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
 }

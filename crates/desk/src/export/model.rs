@@ -67,7 +67,7 @@ const DECIMALS: i32 = 4;
 /// A material as a program will show it.
 #[derive(Clone, Debug)]
 pub struct AsModel {
-    /// Whose.
+    /// The program whose parameters these are.
     pub format: ModelFormat,
     /// The parameters, as the file holds them.
     pub fitted: Fitted,

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::{MaterialError, load};
-use crate::brdf::check::{self, PhysicalCheck};
+use crate::brdf::check::{self, ALBEDO_ANGLES_DEG, PhysicalCheck};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::merl;
 use crate::brdf::rgl::{AsMeasured, RglBrdf};
@@ -32,6 +32,40 @@ pub struct MaterialCheck {
 }
 
 impl MaterialCheck {
+    /// The findings for a person, line by line.
+    pub fn lines(&self) -> Vec<String> {
+        let found = &self.physical;
+        let mut lines = vec![
+            "directional albedo (1 is all light reflected)".to_owned(),
+            "  theta_i      R      G      B".to_owned(),
+        ];
+        let albedo = ALBEDO_ANGLES_DEG.iter().zip(&found.albedo);
+        lines.extend(
+            albedo.map(|(theta, [r, g, b])| format!("  {theta:>5}° {r:>8.4} {g:>6.4} {b:>6.4}")),
+        );
+        lines.push(format!("largest albedo        {:.4}", found.largest_albedo));
+        lines.push(format!(
+            "reciprocity, worst    {:.2e} relative",
+            found.reciprocity
+        ));
+        lines.extend(self.reciprocity_as_measured.map(|raw| {
+            format!("  as measured         {raw:.2e} relative, before both orders are averaged")
+        }));
+        let (invalid, pairs) = (found.invalid, found.pairs);
+        lines.push(format!("invalid values        {invalid} of {pairs} pairs"));
+        lines.extend(self.gaps.as_ref().map(|gaps| {
+            format!(
+                "nodes without value   {} not measured, {} undefined or infinite, of {}",
+                gaps.negative, gaps.not_finite, gaps.nodes
+            )
+        }));
+        lines.push(format!(
+            "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
+            self.worst_sampler()
+        ));
+        lines
+    }
+
     /// The nodes without a value, where they are too many for a measured table.
     pub fn excessive_gaps(&self) -> Option<&Gaps> {
         self.gaps.as_ref().filter(|gaps| !gaps.are_few())

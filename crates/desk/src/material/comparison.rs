@@ -32,25 +32,14 @@ pub struct ConstrainedComparison {
 
 /// Nothing can be compared where the images constrain it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ConstrainedError {
-    /// Neither is a fit.
     #[error(
         "neither {estimate} nor {truth} is a fit, and only a fit has a table of what its images constrain"
     )]
-    NoFit {
-        /// The one.
-        estimate: String,
-        /// The other.
-        truth: String,
-    },
-    /// No cell is left.
+    NoFit { estimate: String, truth: String },
     #[error("the images constrain no cell of {estimate} and {truth}")]
-    NoCell {
-        /// The one.
-        estimate: String,
-        /// The other.
-        truth: String,
-    },
+    NoCell { estimate: String, truth: String },
 }
 
 /// `estimate` against `truth`, with spheres of `sphere_px` pixels a side.

@@ -32,12 +32,11 @@ pub fn errors_between(estimate: &dyn Brdf, truth: &dyn Brdf, sphere_px: usize) -
 
 /// What a dictionary can reach of a BRDF.
 #[derive(Serialize)]
+#[allow(missing_docs)]
 pub struct Projected {
-    /// Name of the dictionary.
     pub dictionary: String,
     /// Pixels a side of the spheres.
     pub sphere_size: usize,
-    /// Errors of the reference projection.
     pub reference_projection: Errors,
     /// The least value of each error that any weights reach.
     pub floor: Errors,

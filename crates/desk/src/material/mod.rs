@@ -28,6 +28,7 @@ use crate::session::fit_record::{self, FitRecordError};
 
 /// Why nothing could be done with a BRDF.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum MaterialError {
     /// The fit that should give it.
     #[error(transparent)]
@@ -35,31 +36,17 @@ pub enum MaterialError {
     /// The file or name that should give it.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
-    /// No embedded material has this name.
     #[error("no embedded material \"{name}\"")]
-    UnknownMaterial {
-        /// The name.
-        name: String,
-    },
+    UnknownMaterial { name: String },
     /// The projection onto a dictionary.
     #[error(transparent)]
     Projection(#[from] ProjectionError),
     /// A file of angles that could not be read.
     #[error("{}: {fact}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        fact: String,
-    },
+    File { path: PathBuf, fact: String },
     /// A file of angles whose content is wrong.
     #[error("{}: {fact}", path.display())]
-    Angles {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        fact: String,
-    },
+    Angles { path: PathBuf, fact: String },
 }
 
 /// Pixels a side of a drawn sphere unless other sizes are asked for.

@@ -23,6 +23,7 @@ const SPHERE_PX: usize = 128;
 
 /// Why a session could not be loaded.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum LoadError {
     /// The session.
     #[error(transparent)]
@@ -38,26 +39,13 @@ pub enum LoadError {
     Image(#[from] ExrError),
     /// A frame's sidecar.
     #[error("{}: {fact}", path.display())]
-    Sidecar {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        fact: String,
-    },
-    /// A fit outside the session that is none of it.
+    Sidecar { path: PathBuf, fact: String },
     #[error("the fit in {} is none of {}", folder.display(), session.display())]
-    OtherSession {
-        /// The fit's folder.
-        folder: PathBuf,
-        /// The session.
-        session: PathBuf,
-    },
+    OtherSession { folder: PathBuf, session: PathBuf },
     /// A fit that the session doesn't have.
     #[error("{} has no fit {number}; it has {existing}", session.display())]
     NoSuchFit {
-        /// The session.
         session: PathBuf,
-        /// The number given.
         number: u32,
         /// Numbers of the fits that exist, or "none".
         existing: String,
@@ -251,10 +239,7 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
                 light,
                 azimuth_deg,
                 elevation_deg,
-            } if light == number => Some(StageAngles {
-                azimuth_deg,
-                elevation_deg,
-            }),
+            } if light == number => Some(StageAngles::new(azimuth_deg, elevation_deg)),
             _ => None,
         });
     let exposures = exposures(session, number)?;

@@ -35,6 +35,7 @@ use crate::whole_file;
 
 /// Why a report could not be made.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ReportError {
     /// A figure failed.
     #[error(transparent)]
@@ -51,9 +52,7 @@ pub enum ReportError {
     /// The page could not be written elsewhere.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
 }
@@ -169,14 +168,13 @@ pub struct ExposureInput {
 }
 
 /// A fit with what is needed to draw it.
+#[allow(missing_docs)]
 pub struct FitInput {
     /// Its number or folder.
     pub name: String,
     /// What it left on disk.
     pub record: FitRecord,
-    /// Its images.
     pub images: FitImages,
-    /// The fitted BRDF.
     pub estimate: Arc<dyn Brdf>,
 }
 
@@ -191,10 +189,9 @@ pub struct ValidationInput {
 }
 
 /// The true material.
+#[allow(missing_docs)]
 pub struct Truth {
-    /// Its name.
     pub name: String,
-    /// Its BRDF.
     pub brdf: Arc<dyn Brdf>,
 }
 

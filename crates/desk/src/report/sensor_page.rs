@@ -12,12 +12,12 @@ use crate::calibration::sensor::emva1288::Emva1288;
 
 /// What the page states of the measurement.
 #[derive(Clone, Debug)]
+#[allow(missing_docs)]
 pub struct SensorPage<'a> {
     /// Model and serial number.
     pub camera: String,
     /// Whether the sensor is simulated.
     pub simulated: bool,
-    /// Name of the record.
     pub record: String,
     /// How it was measured.
     pub method: String,
@@ -27,7 +27,6 @@ pub struct SensorPage<'a> {
     pub settings: Settings,
     /// The solution, with its curve.
     pub fit: &'a SensorFit,
-    /// The figures.
     pub figures: &'a Emva1288,
 }
 
@@ -272,17 +271,11 @@ fn parts(symbol: &str) -> (&str, &str) {
 }
 
 fn percent(m: Measured) -> Measured {
-    Measured {
-        value: 100.0 * m.value,
-        std: 100.0 * m.std,
-    }
+    Measured::new(100.0 * m.value, 100.0 * m.std)
 }
 
 fn inverse(m: Measured) -> Measured {
-    Measured {
-        value: 1.0 / m.value,
-        std: m.std / m.value.powi(2),
-    }
+    Measured::new(1.0 / m.value, m.std / m.value.powi(2))
 }
 
 /// Value and uncertainty to two digits of the latter, with the unit.

@@ -194,10 +194,7 @@ pub(super) fn synthetic() -> ReportInput {
     };
     let light = |index: u32| LightInput {
         index,
-        place: Some(StageAngles {
-            azimuth_deg: -30.0 * f64::from(index),
-            elevation_deg: 85.0,
-        }),
+        place: Some(StageAngles::new(-30.0 * f64::from(index), 85.0)),
         exposures: vec![exposure(0.5, 1), exposure(4.0, 2), exposure(32.0, 8)],
         captured: Some(CapturedInput::of(&bowl(index.into(), 1.0))),
     };

@@ -196,10 +196,10 @@ impl<S: FrameSource> Camera for DescribedCamera<S> {
     /// The values go with each frame; what the source reports with the frame shows whether
     /// they were applied, and where it reports nothing, the images alone.
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        let applied = CameraSettings {
-            exposure: nearest_exposure(&self.info, requested.exposure),
-            gain: requested.gain,
-        };
+        let applied = CameraSettings::new(
+            nearest_exposure(&self.info, requested.exposure),
+            requested.gain,
+        );
         self.settings = Some(applied);
         Ok(applied)
     }
@@ -271,12 +271,7 @@ pub(super) mod tests {
     use crate::device::{FrameKind, Mosaic};
 
     /// Any frame.
-    pub const KEY: FrameKey = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind: FrameKind::Light,
-    };
+    pub const KEY: FrameKey = FrameKey::new(0, 0, 0, FrameKind::Light);
 
     /// A camera of 4 × 2 pixels and 12 bits, configured to `exposure_s` and `gain`.
     pub fn configured<S: FrameSource>(

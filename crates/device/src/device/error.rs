@@ -5,32 +5,19 @@ use crate::units::{Seconds, StageAngles};
 
 /// What went wrong at a device; facts only.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DeviceError {
     /// There is no such port or device file.
     #[error("{device} does not exist")]
-    NotFound {
-        /// Path or name.
-        device: String,
-    },
+    NotFound { device: String },
     /// An address on a network where a serial port is wanted.
     #[error("{device} is an address on a network, and controllers there are not supported")]
-    OnNetwork {
-        /// As it was given.
-        device: String,
-    },
+    OnNetwork { device: String },
     /// The system refuses access.
     #[error("{device}: permission denied")]
-    PermissionDenied {
-        /// Path or name.
-        device: String,
-    },
-    /// Another process holds it.
+    PermissionDenied { device: String },
     #[error("{device} is in use by another process")]
-    Busy {
-        /// Path or name.
-        device: String,
-    },
-    /// Another program has claimed the camera's USB interface.
+    Busy { device: String },
     #[error("another program has claimed the camera at {device}")]
     Claimed {
         /// Port as gphoto2 names it.
@@ -38,72 +25,46 @@ pub enum DeviceError {
     },
     /// Another program controls a camera on the network.
     #[error("{device} is controlled by another program")]
-    Controlled {
-        /// Name or address.
-        device: String,
-    },
-    /// No answer in time.
+    Controlled { device: String },
     #[error("{device} did not answer within {timeout} (sent {sent:?})")]
     NoReply {
-        /// Path or name.
         device: String,
-        /// How long was waited.
         timeout: Seconds,
-        /// What was sent last.
         sent: String,
     },
     /// There is something else than what is wanted.
     #[error("{device} is not a {wanted}: {why}")]
     WrongKind {
-        /// Path or name.
         device: String,
-        /// What it must be.
         wanted: &'static str,
-        /// The system's words.
         why: String,
     },
     /// What answers speaks another protocol.
     #[error("{device} answered {answer:?}: that is {speaks}, not {expected}")]
     OtherProtocol {
-        /// Path or name.
         device: String,
-        /// The bytes, as text.
         answer: String,
-        /// Who speaks so.
         speaks: Speaker,
-        /// What the protocol allows here.
         expected: String,
     },
     /// The firmware is not, or not set up, as a stage needs it.
     #[error("{device}: {fault}")]
     Firmware {
-        /// Path or name.
         device: String,
-        /// What is the case.
         fault: FirmwareFault,
     },
     /// A program that takes the frames cannot be run.
     #[error("{program}: {fault}")]
     Program {
-        /// As the rig file names it.
         program: String,
-        /// What is the case.
         fault: ProgramFault,
     },
     /// What a camera's program reports of a frame is not what may stand there.
     #[error("{program}: {fault}")]
-    Answer {
-        /// As the rig file names it.
-        program: String,
-        /// What is wrong with it.
-        fault: AnswerFault,
-    },
-    /// Another camera than the one that is wanted.
+    Answer { program: String, fault: AnswerFault },
     #[error("{device} is the camera {is:?}, and {wanted:?} is wanted")]
     OtherCamera {
-        /// Path, port or name.
         device: String,
-        /// Serial number that it reports.
         is: String,
         /// Serial number of the rig file, or of the frames before.
         wanted: String,
@@ -111,108 +72,70 @@ pub enum DeviceError {
     /// A node of a camera that gives no images, such as that of its metadata.
     #[error("{device} gives no images{}", other_node(image_node.as_deref()))]
     NoImages {
-        /// Path or name.
         device: String,
         /// The node of the same camera that does, where one is found.
         image_node: Option<String>,
     },
-    /// The camera offers compressed formats alone.
     #[error(
         "none of the formats of {device} is uncompressed: it offers {}",
         offered_formats(offered)
     )]
     Compressed {
-        /// Path or name.
         device: String,
-        /// Four-character codes of the formats.
         offered: Vec<String>,
     },
     /// A webcam that its library cannot use, or not safely.
     #[error("{device}: {fault}")]
-    Webcam {
-        /// Path or name.
-        device: String,
-        /// What is the case.
-        fault: WebcamFault,
-    },
+    Webcam { device: String, fault: WebcamFault },
     /// The system has no room for the stream on the camera's bus.
     #[error(
         "{device}: its USB bus has no bandwidth left for a stream of {width} × {height} pixels"
     )]
     NoBandwidth {
-        /// Path or name.
         device: String,
-        /// Pixels per row.
         width: u32,
-        /// Rows.
         height: u32,
     },
     /// An answer that the protocol does not allow.
     #[error("{device} answered {answer:?}, which is not {expected}")]
     Garbled {
-        /// Path or name.
         device: String,
-        /// The bytes, as text.
         answer: String,
-        /// What the protocol allows here.
         expected: String,
     },
-    /// A frame that cannot be used.
     #[error("{device}: a frame cannot be used: {fault}")]
     BadFrame {
-        /// Path or name.
         device: String,
-        /// What is wrong with it.
         fault: retake::FrameFault,
     },
     /// The device refused a command.
     #[error("{device} refused {command:?}: {reason}")]
     Refused {
-        /// Path or name.
         device: String,
-        /// What was sent.
         command: String,
-        /// The device's error code and its meaning.
         reason: String,
     },
     /// The device is in alarm: its position is unknown.
     #[error("{device} is in alarm: {reason}")]
     Alarm {
-        /// Path or name.
         device: String,
-        /// What raises it, by kind.
         cause: AlarmCause,
-        /// The alarm code and its meaning.
         reason: String,
     },
     /// A move was requested while the position is unknown.
     #[error("{device} has not been homed since {since}, so its position is unknown")]
-    NotHomed {
-        /// Path or name.
-        device: String,
-        /// The event that made the position unknown.
-        since: String,
-    },
-    /// A target outside the configured limits.
+    NotHomed { device: String, since: String },
     #[error("{device}: {target} is outside the limits ({limits})")]
     OutOfReach {
-        /// Path or name.
         device: String,
-        /// The target.
         target: StageAngles,
-        /// The limits.
         limits: String,
     },
-    /// The device reports another state than the one commanded.
     #[error("{device}: {what} is {is} after {wanted} was commanded")]
     NotApplied {
-        /// Path or name.
         device: String,
-        /// Which setting.
         what: String,
-        /// Read back.
         is: String,
-        /// Asked for.
         wanted: String,
     },
     /// Nothing can be put into the folder for temporary files.
@@ -220,7 +143,6 @@ pub enum DeviceError {
     TemporaryFolder {
         /// As `TMPDIR` names it, or the system's own.
         folder: std::path::PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
     /// The guardian has taken the stage over, because it had received nothing from this
@@ -229,28 +151,16 @@ pub enum DeviceError {
         "{device}: the program gave no sign of life for longer than it had announced, \
          and its guardian has taken the stage over"
     )]
-    Relieved {
-        /// Path or name.
-        device: String,
-    },
-    /// The guardian has ended, or does not answer.
+    Relieved { device: String },
     #[error("the guardian of {device} has ended or does not answer; the stage was stopped")]
-    Unguarded {
-        /// Path or name.
-        device: String,
-    },
+    Unguarded { device: String },
     /// The device went away.
     #[error("{device} was disconnected")]
-    Disconnected {
-        /// Path or name.
-        device: String,
-    },
+    Disconnected { device: String },
     /// Any other failure of the system.
     #[error("{device}: {source}")]
     Io {
-        /// Path or name.
         device: String,
-        /// The system's error.
         source: std::io::Error,
     },
 }
@@ -311,48 +221,29 @@ pub enum AlarmCause {
 
 /// A firmware that is not, or not set up, as a stage needs it. Settings are those of GRBL.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FirmwareFault {
-    /// Too old.
     #[error("its firmware is {is}, and {needed} or later is needed")]
-    Old {
-        /// Name and version.
-        is: String,
-        /// Name and version.
-        needed: &'static str,
-    },
+    Old { is: String, needed: &'static str },
     /// `$22=0`.
     #[error("it refused {command:?}: homing is not enabled ($22=0)")]
-    HomingDisabled {
-        /// What was sent.
-        command: String,
-    },
+    HomingDisabled { command: String },
     /// No axis has a homing cycle (FluidNC, grblHAL).
     #[error("it refused {command:?}: no axis is set to be homed")]
-    NothingToHome {
-        /// What was sent.
-        command: String,
-    },
+    NothingToHome { command: String },
     /// `$32` is not 0.
     #[error("laser mode is on ($32={0}), which switches the lamp with the motion")]
     LaserMode(f64),
     /// `$13` is not 0.
     #[error("positions are reported in inches ($13={0})")]
     Inches(f64),
-    /// Neither machine positions nor work positions with their offset.
     #[error("its status reports have no position: neither MPos, nor WPos and WCO")]
     NoPosition,
     /// Fewer axes than the stage uses.
     #[error("its status reports have {axes} axes, and axis {letter} is needed")]
-    NoAxis {
-        /// In the report.
-        axes: usize,
-        /// Of the rig file.
-        letter: char,
-    },
-    /// The safety door's input.
+    NoAxis { axes: usize, letter: char },
     #[error("the safety door input is open, or was opened and not confirmed since (Door:{0})")]
     Door(u8),
-    /// A feed hold.
     #[error("it is held and takes no command (Hold:{0})")]
     Held(u8),
     /// `$SLP`, or a sleep timer.
@@ -361,7 +252,6 @@ pub enum FirmwareFault {
     /// FluidNC could not read its configuration file.
     #[error("its configuration is faulty, and it moves nothing ({0})")]
     Configuration(String),
-    /// The processor restarts, because its supply voltage falls.
     #[error("it restarts again and again, because its supply voltage falls ({0:?})")]
     Undervoltage(String),
     /// The firmware restarts for another reason.
@@ -369,25 +259,17 @@ pub enum FirmwareFault {
     Restarting(String),
     /// A command that this build lacks.
     #[error("it refused {command:?}: {reason}")]
-    Unsupported {
-        /// What was sent.
-        command: String,
-        /// The error's number and meaning.
-        reason: String,
-    },
+    Unsupported { command: String, reason: String },
 }
 
 /// Why a webcam cannot be used through nokhwa.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum WebcamFault {
-    /// Not these frames.
     #[error("nokhwa gets no YUYV frames of {width} × {height} pixels from it: {said}")]
     NoFormat {
-        /// Pixels per row.
         width: u32,
-        /// Rows.
         height: u32,
-        /// The library's own message.
         said: String,
     },
     /// Damaged frames would look like whole ones.
@@ -403,6 +285,7 @@ pub enum WebcamFault {
 
 /// Why a program cannot be run.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProgramFault {
     /// There is none of this name.
     #[error("there is no such program{}", if *looked_in_path { " in PATH" } else { "" })]
@@ -410,44 +293,28 @@ pub enum ProgramFault {
         /// The name has no `/`.
         looked_in_path: bool,
     },
-    /// The file may not be executed.
     #[error("it may not be executed (mode {mode:04o})")]
-    NotExecutable {
-        /// Permissions of the file.
-        mode: u32,
-    },
+    NotExecutable { mode: u32 },
     /// Its folder may not be entered, or its file system allows no programs.
     #[error("the system does not let it be executed (permission denied)")]
     Denied,
     /// It is a folder.
     #[error("it is a folder")]
     Folder,
-    /// Its first line ends as Windows ends lines.
     #[error(
         "its first line ends with a carriage return, so that its interpreter is sought as {interpreter:?}"
     )]
-    WindowsLineEnds {
-        /// As the first line has it.
-        interpreter: String,
-    },
+    WindowsLineEnds { interpreter: String },
     /// What its first line names does not exist or may not be executed.
     #[error("its interpreter {interpreter:?} cannot be run")]
-    NoInterpreter {
-        /// As the first line has it.
-        interpreter: String,
-    },
-    /// A binary whose loader does not exist.
+    NoInterpreter { interpreter: String },
     #[error("it is a program for another system: the loader that it names does not exist")]
     NoLoader,
-    /// Neither a binary for this processor nor a script with a first line.
     #[error("it is neither a program for this processor nor a script that begins with #!")]
     NotAProgram,
     /// The loader found no library (exit code 127).
     #[error("it could not be loaded: {said}")]
-    NoLibrary {
-        /// The loader's own words.
-        said: String,
-    },
+    NoLibrary { said: String },
 }
 
 #[cfg(test)]

@@ -45,10 +45,7 @@ impl EvenLight {
                 exposure_step: Seconds(1e-5),
             },
             sensor: SensorModel::new(config),
-            settings: CameraSettings {
-                exposure: Seconds(0.01),
-                gain: 1.0,
-            },
+            settings: CameraSettings::new(Seconds(0.01), 1.0),
             open: true,
             radiance,
             ambient: 0.0,
@@ -117,12 +114,6 @@ impl Camera for EvenLight {
             self.settings.gain,
             noise,
         );
-        Ok(RawFrame {
-            width,
-            height,
-            counts,
-            sequence: None,
-            timestamp: None,
-        })
+        Ok(RawFrame::new(width, height, counts))
     }
 }

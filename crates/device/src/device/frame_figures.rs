@@ -8,12 +8,11 @@ use crate::units::Seconds;
 
 /// What helps to frame, focus and expose, as a page or `rig camera preview --json` shows it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[allow(missing_docs)]
 pub struct FrameFigures {
     /// Model of the camera.
     pub model: String,
-    /// Pixels per row.
     pub width: u32,
-    /// Rows.
     pub height: u32,
     /// Significant bits of a count.
     pub bit_depth: u32,

@@ -74,13 +74,7 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
             "pixel ({x}, {y}) is {count}, more than {bit_depth} bits"
         )));
     }
-    Ok(RawFrame {
-        width,
-        height,
-        counts,
-        sequence: None,
-        timestamp: None,
-    })
+    Ok(RawFrame::new(width, height, counts))
 }
 
 fn name_of(format: ImageFormat) -> String {

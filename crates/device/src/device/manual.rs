@@ -251,10 +251,7 @@ mod tests {
     }
 
     fn angles(azimuth_deg: f64) -> StageAngles {
-        StageAngles {
-            azimuth_deg,
-            elevation_deg: 40.0,
-        }
+        StageAngles::new(azimuth_deg, 40.0)
     }
 
     #[test]

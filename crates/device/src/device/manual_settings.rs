@@ -125,10 +125,7 @@ impl ManualSettings {
                 applied as f64 * EXPOSURE_UNIT_S
             }
         };
-        Ok(CameraSettings {
-            exposure: Seconds(exposure_s),
-            gain,
-        })
+        Ok(CameraSettings::new(Seconds(exposure_s), gain))
     }
 }
 

@@ -4,6 +4,7 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was requested.
 
+pub mod by_hand;
 pub mod command_camera;
 pub mod controls;
 pub mod described;
@@ -242,6 +243,13 @@ pub struct CameraSettings {
     pub gain: f64,
 }
 
+impl CameraSettings {
+    /// An exposure at a gain.
+    pub const fn new(exposure: Seconds, gain: f64) -> Self {
+        Self { exposure, gain }
+    }
+}
+
 /// What a camera is and can do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraInfo {
@@ -289,6 +297,18 @@ pub struct FrameKey {
     pub kind: FrameKind,
 }
 
+impl FrameKey {
+    /// A frame of a light, the index of its exposure, and which repeat it is.
+    pub const fn new(light: u32, exposure: u32, repeat: u32, kind: FrameKind) -> Self {
+        Self {
+            light,
+            exposure,
+            repeat,
+            kind,
+        }
+    }
+}
+
 /// Raw counts as the sensor gave them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawFrame {
@@ -302,6 +322,19 @@ pub struct RawFrame {
     pub sequence: Option<u64>,
     /// Device time of the frame's start on its own monotonic clock, seconds, where it has one.
     pub timestamp: Option<Seconds>,
+}
+
+impl RawFrame {
+    /// Counts of a device that numbers and times no frames.
+    pub const fn new(width: u32, height: u32, counts: Vec<u16>) -> Self {
+        Self {
+            width,
+            height,
+            counts,
+            sequence: None,
+            timestamp: None,
+        }
+    }
 }
 
 /// A camera under manual control.

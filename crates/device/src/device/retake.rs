@@ -11,8 +11,8 @@ pub const MAX_MISSING: u32 = 2;
 
 /// Why a frame is not the one that was requested.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FrameFault {
-    /// The driver marks it so.
     #[error("the driver marks it as damaged")]
     Damaged,
     /// Its bytes are no image of the format.
@@ -20,12 +20,7 @@ pub enum FrameFault {
     Undecodable(String),
     /// Its values are not the sensor's counts: developed, compressed or interpolated.
     #[error("{name} holds no raw counts: it is {kind}")]
-    NotRaw {
-        /// The file's name.
-        name: String,
-        /// What it is.
-        kind: String,
-    },
+    NotRaw { name: String, kind: String },
     /// Another size than the camera's.
     #[error(
         "it has {counts} counts in {} × {} pixels instead of {} × {}",
@@ -34,17 +29,14 @@ pub enum FrameFault {
     Size {
         /// Width and height as the frame says.
         found: [u32; 2],
-        /// Counts that are there.
         counts: usize,
         /// Width and height of the camera.
         expected: [u32; 2],
     },
-    /// The camera reports another exposure or gain for it.
     #[error("the camera reports {what} {is} for it, and {wanted} was requested")]
     Settings {
         /// `exposure` or `gain`.
         what: &'static str,
-        /// As reported.
         is: String,
         /// As requested, with what it may differ by.
         wanted: String,
@@ -247,13 +239,7 @@ mod tests {
     }
 
     fn frame([width, height]: [u32; 2], counts: usize) -> RawFrame {
-        RawFrame {
-            width,
-            height,
-            counts: vec![7; counts],
-            sequence: None,
-            timestamp: None,
-        }
+        RawFrame::new(width, height, vec![7; counts])
     }
 
     fn bad(fault: FrameFault) -> Result<RawFrame, DeviceError> {
@@ -281,12 +267,7 @@ mod tests {
             exposure_step: Seconds(1e-3),
         };
         let mut camera = Scripted(info, answers.iter().rev().copied().collect(), 0);
-        let key = FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: 0,
-            kind: FrameKind::Light,
-        };
+        let key = FrameKey::new(0, 0, 0, FrameKind::Light);
         let mut retakes = Retakes::default();
         let result = grab_right(&mut camera, key, &mut retakes);
         (result, retakes, camera.1.len())

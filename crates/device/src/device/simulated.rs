@@ -306,12 +306,7 @@ pub(crate) mod tests {
     }
 
     fn key(kind: FrameKind) -> FrameKey {
-        FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: 0,
-            kind,
-        }
+        FrameKey::new(0, 0, 0, kind)
     }
 
     /// The camera sees what the production driver has done to the bench.
@@ -321,18 +316,12 @@ pub(crate) mod tests {
         let mut stage = bench.open_stage().unwrap();
         let mut camera = bench.open_camera(Arc::new(Flat));
         let applied = camera
-            .configure(CameraSettings {
-                exposure: Seconds(0.002),
-                gain: 1.0,
-            })
+            .configure(CameraSettings::new(Seconds(0.002), 1.0))
             .unwrap();
         assert_eq!(applied.exposure, Seconds(0.002));
         stage.home().unwrap();
         let mut mean = |stage: &mut GrblStage, elevation_deg, lamp| {
-            let target = StageAngles {
-                azimuth_deg: 20.0,
-                elevation_deg,
-            };
+            let target = StageAngles::new(20.0, elevation_deg);
             stage.move_to(target).unwrap();
             stage.set_lamp(lamp).unwrap();
             for _ in 0..3 {
@@ -382,16 +371,10 @@ pub(crate) mod tests {
             let mut stage = bench.open_stage().unwrap();
             stage.home().unwrap();
             for [azimuth_deg, elevation_deg] in [[30.0, 60.0], [-120.0, 45.0], [100.0, 85.0]] {
-                let target = StageAngles {
-                    azimuth_deg,
-                    elevation_deg,
-                };
+                let target = StageAngles::new(azimuth_deg, elevation_deg);
                 stage.move_to(target).unwrap();
                 let [azimuth, elevation] = bench.bench().stage_angles_deg();
-                let is = StageAngles {
-                    azimuth_deg: azimuth,
-                    elevation_deg: elevation,
-                };
+                let is = StageAngles::new(azimuth, elevation);
                 let off = is.to_light().angle_between(target.to_light());
                 assert!(off.to_degrees() < 0.01, "{mechanism:?}: {is} for {target}");
             }

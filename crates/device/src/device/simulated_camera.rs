@@ -99,10 +99,10 @@ impl Camera for SimulatedCamera {
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
         self.previous = None;
         match self.camera.configure(requested.exposure.0, requested.gain) {
-            Ok(applied) => Ok(CameraSettings {
-                exposure: Seconds(applied.exposure_s),
-                gain: applied.gain,
-            }),
+            Ok(applied) => Ok(CameraSettings::new(
+                Seconds(applied.exposure_s),
+                applied.gain,
+            )),
             Err(error) => Err(self.error(error)),
         }
     }

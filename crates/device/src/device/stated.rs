@@ -24,10 +24,10 @@ impl Stated {
     /// The settings that the frame was taken with: those of `configured`, replaced by what
     /// was reported.
     pub fn settings(&self, configured: CameraSettings) -> CameraSettings {
-        CameraSettings {
-            exposure: self.exposure.unwrap_or(configured.exposure),
-            gain: self.gain.unwrap_or(configured.gain),
-        }
+        CameraSettings::new(
+            self.exposure.unwrap_or(configured.exposure),
+            self.gain.unwrap_or(configured.gain),
+        )
     }
 
     /// Whether the frame was taken as requested: the exposure within `step`, which the rig
@@ -67,10 +67,7 @@ mod tests {
 
     #[test]
     fn settings_within_the_step_are_taken_and_others_refused() {
-        let requested = CameraSettings {
-            exposure: Seconds(0.02),
-            gain: 2.0,
-        };
+        let requested = CameraSettings::new(Seconds(0.02), 2.0);
         let step = Seconds(0.001);
         let of = |exposure_s: f64, gain: f64| Stated {
             exposure: Some(Seconds(exposure_s)),

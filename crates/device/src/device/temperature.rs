@@ -23,11 +23,10 @@ impl std::fmt::Display for Part {
 /// Temperatures above which a capture is suspended; where there is none, any is fine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
 pub struct TemperatureLimits {
-    /// Of the sensor, °C.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_c: Option<f64>,
-    /// Of the lamp, °C.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lamp_c: Option<f64>,
     /// From how far below them a capture warns, °C, 0 or more.

@@ -1,6 +1,9 @@
 //! Exposures as the frames themselves show them, in place of the stated ones.
 
+use std::fmt;
+
 use super::agreement::ExposureAgreement;
+use super::bracket_doubts::shown_s;
 use super::stack::Stack;
 
 /// An exposure that a merge used.
@@ -13,6 +16,29 @@ pub struct UsedExposure {
     /// Relative standard uncertainty of the used one against the shortest, from noise and
     /// black level or response; `None` where nothing could be compared, and the stated one used.
     pub relative_std: Option<f64>,
+}
+
+impl fmt::Display for UsedExposure {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let stated_s = shown_s(self.stated_s);
+        match self.relative_std {
+            Some(0.0) => write!(
+                out,
+                "the exposure of {stated_s} s is used as stated, the others against it"
+            ),
+            Some(std) => write!(
+                out,
+                "the exposure of {stated_s} s is used as {} s ± {:.2}%, as its light shows",
+                shown_s(self.used_s),
+                100.0 * std
+            ),
+            None => write!(
+                out,
+                "the exposure of {stated_s} s is used as stated: no pixel of it is measured by a \
+                 shorter one as well"
+            ),
+        }
+    }
 }
 
 /// A pass changes only what depends on the exposures before, so few are needed.

@@ -11,10 +11,9 @@ use super::sensor::SensorNoise;
 
 /// How one light exposure, in one colour, agrees with the shorter ones.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[allow(missing_docs)]
 pub struct ExposureAgreement {
-    /// Exposure, seconds.
     pub exposure_s: f64,
-    /// Frames averaged.
     pub frames: u32,
     /// Pixels that took it in with full weight, those that moved apart.
     pub pixels: usize,

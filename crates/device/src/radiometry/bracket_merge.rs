@@ -77,55 +77,32 @@ pub struct Merged {
 
 /// Why a bracket cannot be merged.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BracketMergeError {
     /// Files that do not make a bracket.
     #[error(transparent)]
     Files(#[from] BracketError),
-    /// A mosaic of frames in colour.
     #[error("{} has {channels} channels, but a mosaic is one grey channel", path.display())]
-    ColouredMosaic {
-        /// The frame.
-        path: PathBuf,
-        /// Its channels.
-        channels: usize,
-    },
-    /// Colours of a sensor that has none.
+    ColouredMosaic { path: PathBuf, channels: usize },
     #[error("the sensor is described for red, green and blue, but {} is grey", path.display())]
-    NoColours {
-        /// The frame.
-        path: PathBuf,
-    },
+    NoColours { path: PathBuf },
     /// Raw counts are asked of a format that bends them.
     #[error("{} is a JPEG, whose counts are not proportional to light", path.display())]
-    Jpeg {
-        /// The frame.
-        path: PathBuf,
-    },
-    /// A response of other frames.
+    Jpeg { path: PathBuf },
     #[error("the response has {curves} channels of 8 bits, but {} has {channels} of {bits} bits", path.display())]
     OtherResponse {
-        /// The frame.
         path: PathBuf,
-        /// Channels of the response.
         curves: usize,
-        /// Channels of the frame.
         channels: usize,
-        /// Its bits.
         bits: u32,
     },
-    /// A count beyond the sensor's full scale.
     #[error("{} has a count of {count}, but {bits} bits end at {full_scale}", path.display())]
     Count {
-        /// The frame.
         path: PathBuf,
-        /// Its largest count.
         count: u16,
-        /// Significant bits.
         bits: u32,
-        /// Largest count of these.
         full_scale: u16,
     },
-    /// Neither one channel nor three.
     #[error("the frames have neither one channel nor three")]
     Channels,
     /// The frames cannot be kept on disk.
@@ -136,12 +113,7 @@ pub enum BracketMergeError {
     Merge(StackError),
     /// Frames that are each an image by itself, and the images would have one name.
     #[error("{} and {} would both become {}", frames[0].display(), frames[1].display(), out.display())]
-    OneName {
-        /// The frames.
-        frames: [PathBuf; 2],
-        /// The image of either.
-        out: PathBuf,
-    },
+    OneName { frames: [PathBuf; 2], out: PathBuf },
     /// The image cannot be written.
     #[error(transparent)]
     Image(#[from] ExrError),

@@ -106,28 +106,22 @@ pub struct BracketPlan {
 
 /// Why no bracket can be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum PlanError {
     /// A limit, target or pilot value that makes no sense.
     #[error("bracket: {name} = {value} is outside {allowed}")]
     OutOfRange {
-        /// The parameter.
         name: &'static str,
-        /// Its value.
         value: f64,
-        /// What is allowed.
         allowed: &'static str,
     },
-    /// Even the shortest exposure clips.
     #[error(
         "bracket: the brightest pixel reaches {reached_fraction:.2} of the usable range in the \
          shortest exposure of {shortest_s} s, and {allowed_fraction:.2} is allowed"
     )]
     TooBright {
-        /// Part of the usable range.
         reached_fraction: f64,
-        /// The camera's shortest exposure, seconds.
         shortest_s: f64,
-        /// The most that would do.
         allowed_fraction: f64,
     },
 }

@@ -28,25 +28,20 @@ pub struct CameraNote {
 
 /// EXIF data that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum NoteError {
     /// Two statements of the exposure, too far apart for rounding.
     #[error(
         "its EXIF data contradict themselves: an exposure of {exposure_s} s, and {what} of {other_s:.6} s"
     )]
     Contradiction {
-        /// The tag ExposureTime, seconds.
         exposure_s: f64,
-        /// The contradicting entry.
         what: &'static str,
-        /// Its value, seconds.
         other_s: f64,
     },
     /// A number that no exposure can be.
     #[error("its EXIF data state an exposure of {exposure_s} s")]
-    Impossible {
-        /// As stated, seconds.
-        exposure_s: f64,
-    },
+    Impossible { exposure_s: f64 },
 }
 
 /// Cameras round both tags, up to a third of a stop each; more is a contradiction.

@@ -37,30 +37,23 @@ pub enum FrameRole {
 
 /// Why a bracket cannot be merged.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum MergeError {
     /// The noise model is impossible.
     #[error(transparent)]
     Sensor(#[from] SensorError),
-    /// A frame of another size than the bracket.
     #[error("the frame has {found} pixels and the bracket {width} x {height}")]
     FrameSize {
-        /// Pixels of the frame.
         found: usize,
         /// Pixels per row of the bracket.
         width: usize,
-        /// Rows of the bracket.
         height: usize,
     },
-    /// An exposure that cannot be.
     #[error("an exposure of {exposure_s} s is not a positive number")]
-    Exposure {
-        /// As given, seconds.
-        exposure_s: f64,
-    },
+    Exposure { exposure_s: f64 },
     /// More frames than the sums can hold.
     #[error("more than {MAX_FRAMES} frames at one exposure")]
     TooManyFrames,
-    /// A bracket needs at least one light frame.
     #[error("the bracket has no light frame")]
     NoLightFrame,
 }

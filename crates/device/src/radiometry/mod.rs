@@ -3,6 +3,7 @@
 
 pub mod adopted_exposures;
 pub mod agreement;
+pub mod bracket_doubts;
 pub mod bracket_files;
 pub mod bracket_merge;
 pub mod bracket_table;

@@ -8,10 +8,9 @@ use crate::radiance_image::RadianceImage;
 
 /// Radiance at every sensor pixel. Row 0 is the top.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct MergedPlane {
-    /// Pixels per row.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Radiance in the unit of the sensor's responsivity; negative values are kept.
     pub mean: Vec<f32>,

@@ -15,7 +15,6 @@ use super::sensor::SensorNoise;
 pub(super) struct Level {
     /// Exposure of one frame, seconds.
     pub exposure_s: f64,
-    /// Frames averaged.
     pub frames: u32,
     /// Mean count less the nominal black level, in proportion to light, DN.
     pub signal_dn: f64,

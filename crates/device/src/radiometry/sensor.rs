@@ -79,25 +79,18 @@ pub struct FlatField {
 
 /// A value of the noise model that no sensor can have.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SensorError {
-    /// A number outside its range.
     #[error("sensor: {name} = {value} is outside {allowed}")]
     OutOfRange {
-        /// The parameter.
         name: &'static str,
-        /// Its value.
         value: f64,
-        /// What is allowed.
         allowed: String,
     },
-    /// A map of another size than the frames.
     #[error("sensor: the {map} has {found} pixels and the frames have {expected}")]
     MapSize {
-        /// Which map.
         map: &'static str,
-        /// Its pixels.
         found: usize,
-        /// Pixels of a frame.
         expected: usize,
     },
 }

@@ -15,12 +15,11 @@ enum Layout {
 
 /// A format on offer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
 pub struct Format {
     /// Name in the GenICam description.
     pub name: &'static str,
-    /// Its number.
     pub code: u32,
-    /// Significant bits.
     pub bits: u32,
     layout: Layout,
 }

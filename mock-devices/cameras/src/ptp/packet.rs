@@ -10,12 +10,12 @@ pub const LONGEST: usize = 1 << 26;
 
 /// A packet of the command or the event connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
 pub enum Packet {
     /// The client opens the command connection.
     InitCommandRequest {
         /// Who the client is.
         guid: [u8; 16],
-        /// Its name.
         name: String,
         /// Of the protocol; 1.0 is 0x10000.
         version: u32,
@@ -26,7 +26,6 @@ pub enum Packet {
         connection: u32,
         /// Who the body is.
         guid: [u8; 16],
-        /// Its name.
         name: String,
         /// Of the protocol.
         version: u32,
@@ -47,9 +46,7 @@ pub enum Packet {
     Request {
         /// 1: no data or data from the body; 2: data from the client.
         data_phase: u32,
-        /// Which operation.
         code: u16,
-        /// Its number.
         transaction: u32,
         /// At most five.
         parameters: Vec<u32>,
@@ -58,14 +55,12 @@ pub enum Packet {
     Response {
         /// 0x2001: well.
         code: u16,
-        /// Number of the operation.
         transaction: u32,
         /// At most five.
         parameters: Vec<u32>,
     },
     /// Something happened.
     Event {
-        /// What.
         code: u16,
         /// The operation that it belongs to.
         transaction: u32,
@@ -74,26 +69,20 @@ pub enum Packet {
     },
     /// Data of this many bytes follow.
     StartData {
-        /// Number of the operation.
         transaction: u32,
         /// Bytes of all data packets together.
         length: u64,
     },
     /// A part of the data.
     Data {
-        /// Number of the operation.
         transaction: u32,
         /// The bytes.
         payload: Vec<u8>,
     },
     /// The operation is given up.
-    Cancel {
-        /// Its number.
-        transaction: u32,
-    },
+    Cancel { transaction: u32 },
     /// The last part of the data.
     EndData {
-        /// Number of the operation.
         transaction: u32,
         /// The bytes.
         payload: Vec<u8>,

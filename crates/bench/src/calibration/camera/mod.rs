@@ -70,26 +70,21 @@ pub fn described(geometry: &GeometryConfig, size_px: [usize; 2]) -> (Camera, usi
 
 /// Why views of a board do not determine the lens.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum CameraError {
     /// A board or image for which nothing can be found.
     #[error("{what} is {value}, but must be {allowed}")]
     Impossible {
-        /// Which input.
         what: &'static str,
-        /// Its value.
         value: String,
-        /// What it may be.
         allowed: &'static str,
     },
-    /// No board in an image.
     #[error("no board in view {}: {found} of its corners found", index + 1)]
     NotFound {
         /// The image, from 0.
         index: usize,
-        /// Connected corners.
         found: usize,
     },
-    /// More corners in a row than the board has.
     #[error(
         "view {} shows a board of {} × {} corners, the stated one has {} × {}",
         index + 1, found[0], found[1], stated[0], stated[1]
@@ -97,54 +92,33 @@ pub enum CameraError {
     OtherBoard {
         /// The image, from 0.
         index: usize,
-        /// Corners along the sides, found.
         found: [i32; 2],
-        /// The same, stated.
         stated: [i32; 2],
     },
-    /// The view that gives the pose does not show the whole board.
     #[error("view {} does not show the board along both of its sides", index + 1)]
     NotWhole {
         /// The image, from 0.
         index: usize,
     },
-    /// Too few views.
     #[error("{found} views show the board, {needed} are needed")]
-    TooFewViews {
-        /// With the board.
-        found: usize,
-        /// Needed.
-        needed: usize,
-    },
-    /// Corners only in a part of the image.
+    TooFewViews { found: usize, needed: usize },
     #[error("the board's corners cover {percent:.0}% of the image, {needed:.0}% are needed")]
-    Uncovered {
-        /// Part of the image.
-        percent: f64,
-        /// Needed.
-        needed: f64,
-    },
+    Uncovered { percent: f64, needed: f64 },
     /// Focal length and distance cannot be distinguished.
     #[error("the board's tilts differ by at most {found_deg:.1}°, {needed_deg:.0}° are needed")]
     SameTilt {
         /// Largest angle between the board's normals in two views.
         found_deg: f64,
-        /// Needed.
         needed_deg: f64,
     },
-    /// No camera of this kind explains the corners.
     #[error(
         "the corners are {rms_px:.2} pixels (root mean square) from where a board of this kind would show them, {rejected} of {corners} are left out"
     )]
     Unexplained {
-        /// Root mean square distance, pixels.
         rms_px: f64,
-        /// Corners without weight.
         rejected: usize,
-        /// All corners.
         corners: usize,
     },
-    /// The distortion that was found is none of a lens.
     #[error("the corners are explained by a distortion that no lens has: {0}")]
     Folded(#[from] crate::transport::distortion::Folded),
 }
@@ -164,6 +138,7 @@ pub struct Residual {
 
 /// A camera fitted to views of a board.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct CameraFit {
     /// The lens.
     pub projection: Projection,
@@ -174,7 +149,6 @@ pub struct CameraFit {
     /// The numbers: pixels of the image, or millimetres per pixel; the rest as in
     /// [`crate::transport::Coefficients`].
     pub numbers: Vec<f64>,
-    /// Their covariance.
     pub covariance: DMatrix<f64>,
     /// Pose by the view whose board lies at the sample's datum, and its covariance: rotation
     /// (radians, about the sample's axes) and translation (millimetres).
@@ -187,7 +161,6 @@ pub struct CameraFit {
     pub reduced_chi2: f64,
     /// Part of the image that corners cover.
     pub coverage: f64,
-    /// Views that show the board.
     pub views: usize,
 }
 

@@ -14,6 +14,7 @@ use crate::transport::{Camera, Coefficients, LensSpec, Projection};
 /// from the image's top left corner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
 pub struct CameraValues {
     /// "perspective" or "orthographic", as in rig files.
     pub model: LensModel,
@@ -21,7 +22,6 @@ pub struct CameraValues {
     pub resolution_px: [u32; 2],
     /// Focal length across and down, pixels; of a telecentric lens pixels per millimetre.
     pub scale: [f64; 2],
-    /// Principal point, pixels.
     pub principal_point_px: [f64; 2],
     /// k₁, k₂, k₃ in units of the focal length, or of half the field's width.
     pub radial: [f64; 3],
@@ -31,7 +31,6 @@ pub struct CameraValues {
     pub found: Vec<String>,
     /// Covariance of these, one row each.
     pub covariance: Vec<Vec<f64>>,
-    /// Views that show the board.
     pub views: u32,
     /// Corners that counted, and those that were left out.
     pub corners: [u32; 2],

@@ -23,7 +23,6 @@ const EDGE_PX: f64 = 0.289;
 
 /// Clipped pixels of one highlight.
 pub(super) struct Core {
-    /// Which pixels.
     pixels: Vec<usize>,
     /// The brightest measured pixel next to them.
     brightest: usize,
@@ -31,7 +30,6 @@ pub(super) struct Core {
 
 /// Why clipped pixels are no core.
 pub(super) struct NoCore {
-    /// How many there are.
     pub pixels: usize,
 }
 

@@ -32,14 +32,12 @@ pub struct DirectionsRequest<'a> {
 
 /// The lights of a bench as measured.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct MeasuredDirections {
-    /// The spheres.
     pub spheres: Vec<Sphere>,
-    /// The lights.
     pub lights: Vec<FoundLight>,
     /// The stage, unless its lights are fixed.
     pub stage: Option<StageFit>,
-    /// What is recorded.
     pub values: DirectionsValues,
 }
 

@@ -23,18 +23,15 @@ use crate::transport::{Camera, Projection};
 /// Why an image of a mirror sphere does not determine the light. Pixels count from the
 /// top left corner.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum SphereError {
     /// Sphere or camera for which nothing can be found.
     #[error("{what} is {value}, but must be {allowed}")]
     Impossible {
-        /// Which input.
         what: &'static str,
-        /// Its value.
         value: String,
-        /// What it may be.
         allowed: &'static str,
     },
-    /// Images of different sizes, or not of the camera's.
     #[error("an image has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
         /// Width and height of the image.
@@ -42,14 +39,11 @@ pub enum SphereError {
         /// Width and height that the camera has.
         camera: [usize; 2],
     },
-    /// No circle of the sphere's size.
     #[error(
         "no outline of a sphere of {radius_mm} mm ({radius_px:.1} pixels) in the image: its best circle is visible along {percent:.0}% of its way"
     )]
     NoOutline {
-        /// Stated radius.
         radius_mm: f64,
-        /// Its expected radius in the image.
         radius_px: f64,
         /// Part of the best circle along which the image has an edge.
         percent: f64,
@@ -58,34 +52,16 @@ pub enum SphereError {
     #[error(
         "the sphere at ({x:.0}, {y:.0}) with a radius of {radius_px:.0} pixels lies outside the view or reaches over its edge"
     )]
-    OutsideView {
-        /// Column of its middle.
-        x: f64,
-        /// Row of its middle.
-        y: f64,
-        /// Its radius, pixels.
-        radius_px: f64,
-    },
+    OutsideView { x: f64, y: f64, radius_px: f64 },
     /// The outline is too faint or too irregular.
     #[error("the outline at ({x:.0}, {y:.0}) could not be fitted: {why}")]
-    Unfitted {
-        /// Column of its middle.
-        x: f64,
-        /// Row of its middle.
-        y: f64,
-        /// What is wrong.
-        why: String,
-    },
-    /// The fitted radius is not the stated one.
+    Unfitted { x: f64, y: f64, why: String },
     #[error(
         "the outline has a radius of {found_mm:.4} ± {std_mm:.4} mm by the camera's scale, the sphere {stated_mm}"
     )]
     Radius {
-        /// By the camera.
         found_mm: f64,
-        /// Its standard uncertainty.
         std_mm: f64,
-        /// By the certificate.
         stated_mm: f64,
     },
     /// Nothing stands out.
@@ -95,13 +71,9 @@ pub enum SphereError {
     NoHighlight {
         /// Which image, from 0.
         image: usize,
-        /// Column of the sphere's middle.
         x: f64,
-        /// Row of the sphere's middle.
         y: f64,
-        /// Brightest spot over its surroundings.
         contrast: f64,
-        /// The difference over its noise.
         deviations: f64,
     },
     /// Too many pixels of the highlight are clipped, or not those of its core.
@@ -111,11 +83,8 @@ pub enum SphereError {
     Saturated {
         /// Which image, from 0.
         image: usize,
-        /// Column.
         x: f64,
-        /// Row.
         y: f64,
-        /// How many.
         pixels: usize,
     },
     /// More than one lamp, or a window that is mirrored.
@@ -132,28 +101,24 @@ pub enum SphereError {
         /// Light of the second over that of the first.
         percent: f64,
     },
-    /// The rays of two spheres do not meet, or meet behind the lamp.
     #[error(
         "the two spheres' highlights in image {image} do not belong to one lamp: their rays miss each other by {deviations:.1} standard deviations"
     )]
     NotOneLamp {
         /// Which image, from 0.
         image: usize,
-        /// Residual over its standard uncertainty.
         deviations: f64,
     },
 }
 
 /// One number per pixel with its variance: the light of all channels together.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct Grey {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Radiance.
     pub value: Vec<f64>,
-    /// Its variance.
     pub variance: Vec<f64>,
     /// Whether the pixel was measured.
     pub valid: Vec<bool>,
@@ -440,10 +405,7 @@ pub fn locate_all(
         // Too far to be determined, or another distance for every light.
         return Ok((all(&by_stated)?, None));
     }
-    let distance = Measured {
-        value: 1.0 / inverse,
-        std: std / (inverse * inverse),
-    };
+    let distance = Measured::new(1.0 / inverse, std / (inverse * inverse));
     let found = all(&|_| Distance::Stated(distance.value, distance.std))?;
     Ok((found, Some(distance)))
 }

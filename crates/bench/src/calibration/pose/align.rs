@@ -442,10 +442,7 @@ impl Aligner<'_> {
                 .into_iter()
                 .filter(|name| !name.contains("light"))
                 .collect(),
-            blur_px2: Measured {
-                value: pixel(self.blur_px2),
-                std: pixel(blur_std),
-            },
+            blur_px2: Measured::new(pixel(self.blur_px2), pixel(blur_std)),
             reduced_chi2: chi2 / freedom.max(1.0),
             explained,
             shifts: self.shifts(level),

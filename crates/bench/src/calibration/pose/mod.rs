@@ -110,26 +110,17 @@ pub struct ResidualShift {
 
 /// Why images give no pose.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum PoseError {
-    /// Numbers of images and lights differ.
     #[error("{images} images for {lights} lights")]
-    ImageCount {
-        /// Images given.
-        images: usize,
-        /// Lights of the scene.
-        lights: usize,
-    },
-    /// An image does not have the camera's size.
+    ImageCount { images: usize, lights: usize },
     #[error("the image of light {light} is not {width} × {height} pixels as the camera's are")]
     ImageSize {
         /// From 0.
         light: usize,
-        /// The camera's.
         width: usize,
-        /// The camera's.
         height: usize,
     },
-    /// The pose is stated to be exact.
     #[error(
         "uncertainty.rotation_deg or uncertainty.translation_mm is 0: the pose is exactly known"
     )]
@@ -137,12 +128,8 @@ pub enum PoseError {
     /// Fewer pixels than a few patches.
     #[error("the images are too small to compare edges")]
     TooSmall,
-    /// The camera looks past the mesh.
     #[error("{percent:.0}% of the sample's mesh lies in the camera's view")]
-    OutsideView {
-        /// Of its corners.
-        percent: f64,
-    },
+    OutsideView { percent: f64 },
     /// Nothing to align.
     #[error("no edge of the sample or of its shadows stands out in the images")]
     NoEdges,
@@ -150,20 +137,14 @@ pub enum PoseError {
     #[error(
         "the sample's predicted outline, creases and shadows explain {percent:.0}% of the contrast around them"
     )]
-    NotThere {
-        /// Part of the contrast.
-        percent: f64,
-    },
+    NotThere { percent: f64 },
     /// The images contradict the rig file.
     #[error("the {what} is {value:.3} {unit}, {deviations:.1} times its stated uncertainty")]
     TooFar {
         /// Such as `rotation about x`.
         what: String,
-        /// Against the description.
         value: f64,
-        /// Of the value.
         unit: &'static str,
-        /// Over the prior deviation.
         deviations: f64,
     },
 }

@@ -33,12 +33,11 @@ pub fn is_lit(label: u32) -> bool {
 
 /// The pixels on which poses are compared: the camera's, `factor` × `factor` of them as one.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct Grid {
     /// The camera's pixels along one side of a pixel of the grid.
     pub factor: usize,
-    /// Pixels across.
     pub width: usize,
-    /// Pixels down.
     pub height: usize,
 }
 

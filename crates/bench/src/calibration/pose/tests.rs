@@ -217,10 +217,7 @@ fn a_record_holds_the_estimate_in_degrees() {
         }),
         prior: [0.01; 6],
         held: Vec::new(),
-        blur_px2: Measured {
-            value: 0.25,
-            std: 0.01,
-        },
+        blur_px2: Measured::new(0.25, 0.01),
         reduced_chi2: 1.0,
         explained: 0.99,
         shifts: Vec::new(),

@@ -24,7 +24,7 @@ fn camera(config: SensorConfig, seed: u64) -> EvenLight {
 fn calibrate(camera: &mut EvenLight) -> Result<SensorFit, ProcedureError> {
     let bit_depth = camera.info().bit_depth;
     let width = camera.info().resolution_px[0] as usize;
-    let transfer = Bench::new(
+    let transfer = LitCamera::new(
         camera,
         ProcedureOptions::default(),
         &mut |_| false,
@@ -130,7 +130,7 @@ fn flat_field_recovers_the_response_within_its_uncertainty() {
         ..ProcedureOptions::default()
     };
     let FlatFit { flat, rate_e_s, .. } =
-        Bench::new(&mut camera, options, &mut |_| false, &mut || {})
+        LitCamera::new(&mut camera, options, &mut |_| false, &mut || {})
             .flat_field(&noise)
             .unwrap();
     let true_rate = 0.4 * camera.sensor().config().responsivity;
@@ -419,7 +419,7 @@ fn light_of_the_room_is_taken_out_of_a_flat_field() {
             true
         };
         let (mut cover, mut progress) = (|_| false, || {});
-        let bench = Bench::new(&mut camera, options, &mut cover, &mut progress);
+        let bench = LitCamera::new(&mut camera, options, &mut cover, &mut progress);
         let mut bench = match can_switch {
             true => bench.with_switch(&mut switch),
             false => bench,
@@ -453,7 +453,7 @@ fn a_light_that_stays_on_is_an_error() {
     let noise = SensorNoise::ideal(0.38, 2.4, 64.0, 12);
     let (mut cover, mut progress, mut switch) = (|_| false, || {}, |_| false);
     let options = ProcedureOptions::default();
-    let error = Bench::new(&mut camera, options, &mut cover, &mut progress)
+    let error = LitCamera::new(&mut camera, options, &mut cover, &mut progress)
         .with_switch(&mut switch)
         .flat_field(&noise)
         .unwrap_err();

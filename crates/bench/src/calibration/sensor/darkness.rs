@@ -153,10 +153,7 @@ impl Darkness {
                 // Of these pixels, not of those that another sensor might have.
                 std: (self.covariance[which][which] / n).sqrt(),
             },
-            Measured {
-                value: own.sqrt(),
-                std: spread_std,
-            },
+            Measured::new(own.sqrt(), spread_std),
         )
     }
 }

@@ -93,10 +93,10 @@ impl PhotonTransfer {
         // Noise and range.
         let threshold = threshold_e(v.read_noise_e, gain);
         let capacity = v.full_well_e;
-        let snr_max = Measured {
-            value: capacity.value.sqrt(),
-            std: 0.5 * capacity.std / capacity.value.sqrt(),
-        };
+        let snr_max = Measured::new(
+            capacity.value.sqrt(),
+            0.5 * capacity.std / capacity.value.sqrt(),
+        );
         let dynamic_range = capacity.value / threshold.value;
         let relative = (capacity.std / capacity.value).hypot(threshold.std / threshold.value);
         // Nonuniformity at the exposure nearest to half of saturation.
@@ -113,14 +113,14 @@ impl PhotonTransfer {
             .iter()
             .min_by(|a, b| off_half(a.1).total_cmp(&off_half(b.1)));
         let exposure_s = half.map_or(0.0, |(level, _)| level.exposure_s);
-        let offset_e = Measured {
-            value: v.black_level_spread_dn.value / gain.value,
-            std: v.black_level_spread_dn.std / gain.value,
-        };
-        let current_e = Measured {
-            value: v.dark_current_spread_e_s.value * exposure_s,
-            std: v.dark_current_spread_e_s.std * exposure_s,
-        };
+        let offset_e = Measured::new(
+            v.black_level_spread_dn.value / gain.value,
+            v.black_level_spread_dn.std / gain.value,
+        );
+        let current_e = Measured::new(
+            v.dark_current_spread_e_s.value * exposure_s,
+            v.dark_current_spread_e_s.std * exposure_s,
+        );
         let dsnu_e = root_of_squares(offset_e, current_e);
         let prnu = match half {
             _ if mosaic != Mosaic::None => {
@@ -142,10 +142,7 @@ impl PhotonTransfer {
             saturation_capacity_e: capacity,
             sensitivity_threshold_e: threshold,
             snr_max,
-            dynamic_range: Measured {
-                value: dynamic_range,
-                std: dynamic_range * relative,
-            },
+            dynamic_range: Measured::new(dynamic_range, dynamic_range * relative),
             dark_current_e_s: v.dark_current_e_s,
             dsnu_e,
             dsnu_offset_e: offset_e,
@@ -164,10 +161,10 @@ fn threshold_e(dark_noise_e: Measured, gain_dn_per_e: Measured) -> Measured {
     let root = (dark_noise_e.value.powi(2) + rounding_e2 + 0.25).sqrt();
     let by_noise = dark_noise_e.value / root;
     let by_gain = rounding_e2 / gain_dn_per_e.value / root;
-    Measured {
-        value: root + 0.5,
-        std: (by_noise * dark_noise_e.std).hypot(by_gain * gain_dn_per_e.std),
-    }
+    Measured::new(
+        root + 0.5,
+        (by_noise * dark_noise_e.std).hypot(by_gain * gain_dn_per_e.std),
+    )
 }
 
 fn root_of_squares(a: Measured, b: Measured) -> Measured {

@@ -27,7 +27,6 @@ pub(super) struct LinearLevel {
     pub dark_dn: f64,
     /// Temporal variance of one count, DN².
     pub variance_dn2: f64,
-    /// Frames.
     pub frames: f64,
     /// Variance of the mean over pixels and frames from their noise, DN².
     pub mean_variance_dn2: f64,

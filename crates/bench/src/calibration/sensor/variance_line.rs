@@ -63,10 +63,7 @@ impl VarianceLine {
     /// its upper limit (EMVA 1288, 6.5), given with an uncertainty of its half.
     pub fn read_noise_e(&self) -> Measured {
         if self.at_zero < 0.24 {
-            return Measured {
-                value: 0.40 / self.slope,
-                std: 0.20 / self.slope,
-            };
+            return Measured::new(0.40 / self.slope, 0.20 / self.slope);
         }
         let sigma_dn = (self.at_zero - 1.0 / 12.0).sqrt();
         // σ_e = σ_dn(v) / K with v and K correlated by the fit.
@@ -75,9 +72,6 @@ impl VarianceLine {
         let variance = (by_v * self.at_zero_std).powi(2)
             + (by_k * self.slope_std).powi(2)
             + 2.0 * by_v * by_k * self.covariance;
-        Measured {
-            value: sigma_dn / self.slope,
-            std: variance.max(0.0).sqrt(),
-        }
+        Measured::new(sigma_dn / self.slope, variance.max(0.0).sqrt())
     }
 }

@@ -45,8 +45,8 @@ pub struct EdgeFit {
 
 /// The lens that the edges show.
 #[derive(Clone, Debug)]
+#[allow(missing_docs)]
 pub struct Fitted {
-    /// The lens.
     pub lens: Lens,
     /// Covariance of spread (px²), focus (mm) and squared tangent; zero where fixed.
     pub covariance: Matrix3<f64>,
@@ -54,7 +54,6 @@ pub struct Fitted {
     pub reduced_chi2: f64,
     /// Whether focus and aperture were fitted, not fixed.
     pub defocus: bool,
-    /// By edge.
     pub edges: Vec<EdgeFit>,
 }
 

@@ -92,53 +92,34 @@ pub fn check_counts(images: usize, regions: usize, heights: usize) -> Result<(),
 
 /// Why images of edges do not determine the lens. Images count from 0.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum EdgeError {
-    /// Images or regions that cannot be assigned to heights.
     #[error("{images} images and {regions} regions were named for {heights} heights")]
     Counts {
-        /// Images.
         images: usize,
-        /// Regions.
         regions: usize,
-        /// Heights.
         heights: usize,
     },
-    /// One image, and one region of it, for several heights.
     #[error("one image cannot show {heights} heights at the same position")]
-    OneImage {
-        /// Heights.
-        heights: usize,
-    },
-    /// Not the camera's image.
+    OneImage { heights: usize },
     #[error("image {image} has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
-        /// Which image.
         image: usize,
         /// Its width and height.
         found: [usize; 2],
-        /// The camera's.
         camera: [usize; 2],
     },
-    /// The region is not in the image, or too small.
     #[error(
         "the region of {width} x {height} pixels at ({x}, {y}) is not inside image {image} or has less than {LEAST_SIDE_PX} pixels on a side", width = .region.width, height = .region.height, x = .region.x, y = .region.y
     )]
-    Region {
-        /// Which image.
-        image: usize,
-        /// The region.
-        region: Region,
-    },
+    Region { image: usize, region: Region },
     /// No edge stands out.
     #[error(
         "no edge in image {image}: its sides differ by {percent:.1}% of their mean, {deviations:.1} standard deviations of a pixel"
     )]
     Contrast {
-        /// Which image.
         image: usize,
-        /// Difference over the mean.
         percent: f64,
-        /// Difference over a pixel's noise.
         deviations: f64,
     },
     /// More than one edge, or a curved one.
@@ -146,7 +127,6 @@ pub enum EdgeError {
         "image {image} does not show one straight edge: {percent:.0}% of its changes lie along the best line"
     )]
     NotStraight {
-        /// Which image.
         image: usize,
         /// Part of the squared gradient near the line.
         percent: f64,
@@ -155,40 +135,20 @@ pub enum EdgeError {
     #[error(
         "the edge in image {image} is tilted by {degrees:.1} degrees against the pixels' rows or columns"
     )]
-    Tilt {
-        /// Which image.
-        image: usize,
-        /// Angle to the nearer axis.
-        degrees: f64,
-    },
-    /// Too little of the edge.
+    Tilt { image: usize, degrees: f64 },
     #[error(
         "{pixels} usable pixels along {length:.0} pixels of the edge in image {image}: too few"
     )]
     TooFew {
-        /// Which image.
         image: usize,
-        /// Pixels near the edge.
         pixels: usize,
-        /// Length of the edge in the region.
         length: f64,
     },
-    /// Saturated or masked pixels near the edge.
     #[error("{percent:.0}% of the pixels near the edge in image {image} are masked or saturated")]
-    Masked {
-        /// Which image.
-        image: usize,
-        /// Part of the pixels.
-        percent: f64,
-    },
+    Masked { image: usize, percent: f64 },
     /// The camera does not see a target at that height.
     #[error("image {image}: the camera sees nothing at a height of {height_mm} mm")]
-    Height {
-        /// Which image.
-        image: usize,
-        /// As stated.
-        height_mm: f64,
-    },
+    Height { image: usize, height_mm: f64 },
     /// The iteration does not settle, or the data determine nothing.
     #[error("the edges' profiles could not be fitted: {0}")]
     Unfitted(&'static str),
@@ -196,22 +156,12 @@ pub enum EdgeError {
     #[error(
         "the edges are as sharp at {nearest_mm:.2} mm from the camera as at {farthest_mm:.2} mm, or the blur between does not follow a lens"
     )]
-    NoDefocus {
-        /// Least depth.
-        nearest_mm: f64,
-        /// Greatest depth.
-        farthest_mm: f64,
-    },
+    NoDefocus { nearest_mm: f64, farthest_mm: f64 },
     /// The model is far from what the images show.
     #[error(
         "the edges differ from a blurred straight edge by {deviations:.1} times their noise (root mean square), {percent:.1}% of their contrast"
     )]
-    NotTheModel {
-        /// Root mean square residual over noise.
-        deviations: f64,
-        /// Root mean square residual over contrast.
-        percent: f64,
-    },
+    NotTheModel { deviations: f64, percent: f64 },
 }
 
 /// Least width and height of the region that is searched.

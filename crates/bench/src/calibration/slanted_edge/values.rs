@@ -109,10 +109,7 @@ impl FocusValues {
                     height_mm: edge.height_mm,
                     depth_mm: edge.depth_mm,
                     tilt_deg: edge.tilt_rad().to_degrees(),
-                    width_px: Measured {
-                        value: cell * fit.width_px[0],
-                        std: cell * fit.width_px[1],
-                    },
+                    width_px: Measured::new(cell * fit.width_px[0], cell * fit.width_px[1]),
                 })
                 .collect(),
         }

@@ -34,7 +34,6 @@ pub(super) struct Shot {
 #[derive(Clone)]
 pub(super) struct Taken {
     pub(super) frame: Arc<RawFrame>,
-    /// Requested.
     pub(super) requested_s: f64,
     /// Read back.
     pub(super) exposure_s: f64,
@@ -90,12 +89,12 @@ impl Run<'_> {
     ) -> Shot {
         let states = self.plan.channels.len() as u32 + 1;
         Shot {
-            key: FrameKey {
+            key: FrameKey::new(
                 light,
-                exposure: round * states + channel as u32,
+                round * states + channel as u32,
                 repeat,
-                kind: FrameKind::Light,
-            },
+                FrameKind::Light,
+            ),
             exposure: Seconds(exposure_s),
             lamp: LampState::On(
                 self.plan
@@ -206,10 +205,7 @@ impl Run<'_> {
         reference: Reference<'_>,
     ) -> Result<(RawFrame, Sidecar), CaptureError> {
         // Settings travel to the camera while the stage moves.
-        let requested = CameraSettings {
-            exposure: shot.exposure,
-            gain: self.plan.gain,
-        };
+        let requested = CameraSettings::new(shot.exposure, self.plan.gain);
         let shutter_open = shot.key.kind != FrameKind::Dark;
         let stands = self.position.is_some_and(|(at, _)| at == shot.key.light);
         let discards = if stands && self.devices.is_set(shot.lamp, shutter_open) {

@@ -83,31 +83,21 @@ impl From<bool> for Answer {
 
 /// What is wrong with answers.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum AnswerError {
     /// Of another kind, or outside the range.
     #[error("the answer `{key}` is {value}, but must be {allowed}")]
     Invalid {
-        /// Name of the answer.
         key: &'static str,
-        /// The answer as given.
         value: String,
-        /// What may be answered.
         allowed: String,
     },
     /// Not given, and there is no default.
     #[error("the answer `{key}` is missing; it must be {allowed}")]
-    Missing {
-        /// Name of the answer.
-        key: &'static str,
-        /// What may be answered.
-        allowed: String,
-    },
-    /// To no question.
+    Missing { key: &'static str, allowed: String },
     #[error("there is no question `{}`; known: {}", excerpt(key), known.join(", "))]
     Unknown {
-        /// Name of the answer.
         key: String,
-        /// Names that answers have.
         known: Vec<&'static str>,
     },
 }

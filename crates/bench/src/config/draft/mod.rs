@@ -4,9 +4,10 @@
 //! Nothing here opens a device or writes a file. `rig init` asks the questions.
 
 mod answer;
-mod bench;
+mod answered;
 mod completion;
 mod found;
+mod interview;
 mod next;
 mod question;
 mod relation;
@@ -16,8 +17,9 @@ mod text;
 use std::path::Path;
 
 pub use answer::{Answer, AnswerError, Answers};
-pub use bench::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
+pub use answered::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 pub use found::Found;
+pub use interview::{Interviewee, interview};
 pub use next::Step;
 pub use question::{Choice, Kind, Question, When};
 pub use table::questions;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::bench::{Draft, Lens, Stage};
+use super::answered::{Draft, Lens, Stage};
 use crate::config::RIG_FILE;
 use crate::shell_words::quoted;
 

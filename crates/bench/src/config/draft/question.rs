@@ -95,6 +95,20 @@ impl Question {
             .is_some_and(|answer| when.is.contains(answer))
     }
 
+    /// Default, or unit, of an answer that is asked for: a choice by its number, from 1.
+    pub fn prompt(&self) -> String {
+        let Some(default) = &self.default else {
+            return format!("({})", self.unit.unwrap_or("needed"));
+        };
+        let is_default = |choice: &Choice| default.text() == Some(choice.value.as_str());
+        let shown = match (self.kind, self.choices.iter().position(is_default)) {
+            (Kind::Choice, Some(index)) => (index + 1).to_string(),
+            _ => default.to_string(),
+        };
+        let unit = self.unit.map_or(String::new(), |unit| format!(" {unit}"));
+        format!("[{shown}{unit}]")
+    }
+
     /// What may be answered, to complete "must be …".
     pub fn allowed(&self) -> String {
         match self.kind {

@@ -1,7 +1,7 @@
 //! What answers must be to each other. A relation counts once all its answers are there.
 
 use super::answer::{AnswerError, Answers};
-use super::bench::{field_mm, field_of_view};
+use super::answered::{field_mm, field_of_view};
 use super::table::directions;
 
 /// Checks every relation whose answers are there.

@@ -243,94 +243,36 @@ fn a_camera_that_is_connected_is_the_default() {
 
 #[test]
 fn bad_answers_are_named_with_value_and_range() {
-    const CASES: &[(&[(&str, &str)], &str)] = &[
-        (
-            &[("name", "My Bench")],
-            "`name` is My Bench, but must be 1 to 40 of a-z, 0-9 and -",
-        ),
-        (
-            &[("width_px", "12.5")],
-            "`width_px` is 12.5, but must be a whole number from 16 to 16384 (pixels)",
-        ),
-        (
-            &[("width_px", "wide")],
-            "`width_px` is wide, but must be a whole number",
-        ),
-        (
-            &[("warm_up_s", "-1")],
-            "`warm_up_s` is -1, but must be a number from 0 to 7200 (s)",
-        ),
-        (
-            &[("housing", "maybe")],
-            "`housing` is maybe, but must be yes or no",
-        ),
-        (
-            &[("mosaic", "xtrans")],
-            "`mosaic` is xtrans, but must be one of none, rggb",
-        ),
-        (
-            &[("camera", "nikon D850")],
-            "`camera` is nikon D850, but must be v4l, ",
-        ),
-        (
-            &[("colour", "red")],
-            "there is no question `colour`; known: name, camera",
-        ),
-        (
-            &[("camera", "command"), ("camera_address", "photo")],
-            "`camera.command` is \"photo\", but must be a program",
-        ),
-        (
-            &[("port", "COM3")],
-            "`port` is COM3, but must be the path of a serial port",
-        ),
-        (
-            &[("azimuth_max_deg", "-175")],
-            "`azimuth_max_deg` is -175, but must be at least `azimuth_min_deg` (-170)",
-        ),
-        (
-            &[("sample_radius_mm", "12")],
-            "`sample_radius_mm` is 12, but must be such that the sample (12 mm from its middle) is within 11.25 mm",
-        ),
-        (
-            &[("sample_shape", "groove"), ("groove_width_mm", "30")],
-            "`groove_width_mm` is 30, but must be less than twice the radius (9 mm)",
-        ),
-        (
-            &[("mosaic", "rggb"), ("height_px", "1201")],
-            "`mosaic` is rggb, but must be none, because 1920 and 1201",
-        ),
-        (
-            &[("grbl_red_on", "M3!")],
-            "`grbl_red_on` is M3!, but must be controller commands",
-        ),
-        (&[("stage", "zaber")], "the answer `first_scale` is missing"),
-        (
-            &[
-                ("stage", "zaber"),
-                ("first_scale", "0"),
-                ("second_scale", "1"),
-            ],
-            "`first_scale` is 0, but must be away from 0",
-        ),
-        (
-            &[("stage", "manual"), ("lights", "30")],
-            "`lights` is 30, but must be directions",
-        ),
-        (
-            &[("stage", "dmx"), ("dmx_first", "490")],
-            "`dmx_first` is 490, but must be at most 483",
-        ),
-        (
-            &[("lens", "focal-length"), ("focal_mm", "200")],
-            "`camera_distance_mm` is 200, but must be above the focal length",
-        ),
-    ];
-    for (changes, expected) in CASES {
+    // Answers, and what is said of them.
+    const CASES: &str = r#"
+name = My Bench | `name` is My Bench, but must be 1 to 40 of a-z, 0-9 and -
+width_px = 12.5 | `width_px` is 12.5, but must be a whole number from 16 to 16384 (pixels)
+width_px = wide | `width_px` is wide, but must be a whole number
+warm_up_s = -1 | `warm_up_s` is -1, but must be a number from 0 to 7200 (s)
+housing = maybe | `housing` is maybe, but must be yes or no
+mosaic = xtrans | `mosaic` is xtrans, but must be one of none, rggb
+camera = nikon D850 | `camera` is nikon D850, but must be v4l,
+colour = red | there is no question `colour`; known: name, camera
+camera = command; camera_address = photo | `camera.command` is "photo", but must be a program
+port = COM3 | `port` is COM3, but must be the path of a serial port
+azimuth_max_deg = -175 | `azimuth_max_deg` is -175, but must be at least `azimuth_min_deg` (-170)
+sample_radius_mm = 12 | `sample_radius_mm` is 12, but must be such that the sample (12 mm from its middle) is within 11.25 mm
+sample_shape = groove; groove_width_mm = 30 | `groove_width_mm` is 30, but must be less than twice the radius (9 mm)
+mosaic = rggb; height_px = 1201 | `mosaic` is rggb, but must be none, because 1920 and 1201
+grbl_red_on = M3! | `grbl_red_on` is M3!, but must be controller commands
+stage = zaber | the answer `first_scale` is missing
+stage = zaber; first_scale = 0; second_scale = 1 | `first_scale` is 0, but must be away from 0
+stage = manual; lights = 30 | `lights` is 30, but must be directions
+stage = dmx; dmx_first = 490 | `dmx_first` is 490, but must be at most 483
+lens = focal-length; focal_mm = 200 | `camera_distance_mm` is 200, but must be above the focal length
+"#;
+    for case in CASES.trim().lines() {
+        let (changes, expected) = case.split_once(" | ").unwrap();
         let mut bench = bench(CAMERAS[0], ("grbl", "rotary"));
         bench.set("sample_radius_mm", Answer::Number(9.0));
-        for (key, value) in *changes {
-            bench.set(key, (*value).into());
+        for change in changes.split("; ") {
+            let (key, value) = change.split_once(" = ").unwrap();
+            bench.set(key, value.into());
         }
         let error = made(&bench).unwrap_err().to_string();
         assert!(error.contains(expected), "{changes:?}: {error}");

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use super::bench::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
+use super::answered::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 
 impl Draft {
     /// The rig file, with a comment for every key.

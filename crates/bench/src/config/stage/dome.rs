@@ -44,10 +44,10 @@ fn read_lights(table: &mut Section, dmx: bool) -> Result<(FixedLights, Vec<u16>)
     let mut directions = Vec::new();
     let mut addresses = Vec::new();
     for mut light in table.sections("light")?.required()? {
-        directions.push(StageAngles {
-            azimuth_deg: light.number("azimuth_deg", -360.0..=360.0)?.required()?,
-            elevation_deg: light.number("elevation_deg", -90.0..=90.0)?.required()?,
-        });
+        directions.push(StageAngles::new(
+            light.number("azimuth_deg", -360.0..=360.0)?.required()?,
+            light.number("elevation_deg", -90.0..=90.0)?.required()?,
+        ));
         if dmx {
             addresses.push(light.integer("dmx_address", 1..=512)?.required()? as u16);
         }

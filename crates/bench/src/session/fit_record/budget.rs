@@ -15,10 +15,9 @@ pub struct BudgetRecord {
 
 /// The error budget at one pair of angles, mean over the channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
 pub struct BudgetRow {
-    /// Half angle, degrees.
     pub theta_h_deg: f64,
-    /// Difference angle, degrees.
     pub theta_d_deg: f64,
     /// f, 1/sr.
     pub value: f64,

@@ -18,6 +18,15 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// In a word or two, for tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Explains => "explains",
+            Self::Reservations => "reservations",
+            Self::NotToBeTrusted => "not trusted",
+        }
+    }
+
     /// As records, tables and JSON name it.
     pub fn name(self) -> &'static str {
         match self {

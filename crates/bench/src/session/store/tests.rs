@@ -27,23 +27,9 @@ fn create(disk: Arc<dyn commit::Disk>, parent: &Path) -> Result<SessionWriter, S
 }
 
 fn frame(repeat: u32) -> (RawFrame, Sidecar) {
-    let settings = CameraSettings {
-        exposure: Seconds(0.001),
-        gain: 1.0,
-    };
-    let raw = RawFrame {
-        width: 4,
-        height: 3,
-        counts: (0..12).map(|i| i * 100 + repeat as u16).collect(),
-        sequence: None,
-        timestamp: None,
-    };
-    let key = FrameKey {
-        light: 0,
-        exposure: 1,
-        repeat,
-        kind: FrameKind::Light,
-    };
+    let settings = CameraSettings::new(Seconds(0.001), 1.0);
+    let raw = RawFrame::new(4, 3, (0..12).map(|i| i * 100 + repeat as u16).collect());
+    let key = FrameKey::new(0, 1, repeat, FrameKind::Light);
     let sidecar = Sidecar {
         camera_serial: "s".into(),
         frames_discarded: 2,

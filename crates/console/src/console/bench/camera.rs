@@ -42,12 +42,7 @@ pub(super) fn show(
             shared.change(|state| state.settings = Some(settings.into()));
         }
         // The frame.
-        let key = FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: number as u32,
-            kind: FrameKind::Ambient,
-        };
+        let key = FrameKey::new(0, 0, number as u32, FrameKind::Ambient);
         let frame = Arc::new(grab_right(camera, key, &mut Retakes::default())?);
         rate.count(Instant::now());
         shared

@@ -66,10 +66,10 @@ async fn exposure(
     _: Controlled,
     Asked(wanted): Asked<Exposure>,
 ) -> Accepted {
-    begun(bench.set_exposure(CameraSettings {
-        exposure: Seconds(wanted.exposure_ms * 1e-3),
-        gain: wanted.gain,
-    }))
+    begun(bench.set_exposure(CameraSettings::new(
+        Seconds(wanted.exposure_ms * 1e-3),
+        wanted.gain,
+    )))
 }
 
 async fn home(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {

@@ -16,10 +16,7 @@ use crate::units::{Seconds, StageAngles};
 
 /// What nothing here should ever take.
 const PATIENCE: Duration = Duration::from_secs(30);
-const TARGET: StageAngles = StageAngles {
-    azimuth_deg: 10.0,
-    elevation_deg: 45.0,
-};
+const TARGET: StageAngles = StageAngles::new(10.0, 45.0);
 
 /// What the devices share with the test.
 #[derive(Default)]
@@ -171,13 +168,7 @@ impl Camera for Eye {
             return Err(gone("camera"));
         }
         let dn = if World::is(&self.0.lit) { 3000 } else { 64 };
-        Ok(RawFrame {
-            width: 8,
-            height: 6,
-            counts: vec![dn; 48],
-            sequence: None,
-            timestamp: None,
-        })
+        Ok(RawFrame::new(8, 6, vec![dn; 48]))
     }
 }
 
@@ -222,10 +213,7 @@ fn bench(world: &Arc<World>) -> Bench {
         }),
         advisor: Advisor::new(|error| error.is::<Unstopped>().then(|| "the button".to_owned())),
         levels: Box::new(|_| SensorLevels::default()),
-        settings: CameraSettings {
-            exposure: Seconds(10e-3),
-            gain: 1.0,
-        },
+        settings: CameraSettings::new(Seconds(10e-3), 1.0),
         silence: Box::new(|| None),
     };
     Bench::new(Hub::default(), ports).unwrap()
@@ -294,10 +282,7 @@ fn a_page_connects_sees_switches_and_disconnects() {
             .lamp_off_in_s
             .is_some_and(|left| (0.0..=30.0).contains(&left))
     );
-    let wanted = CameraSettings {
-        exposure: Seconds(20.4e-3),
-        gain: 2.0,
-    };
+    let wanted = CameraSettings::new(Seconds(20.4e-3), 2.0);
     bench.set_exposure(wanted).unwrap();
     let applied = |state: &State| state.settings.is_some_and(|s| s.gain == 2.0);
     let state = wait_for(&bench, "applied", applied);

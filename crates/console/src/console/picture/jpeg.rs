@@ -160,13 +160,7 @@ mod tests {
     }
 
     fn frame(width: u32, height: u32, counts: Vec<u16>) -> RawFrame {
-        RawFrame {
-            width,
-            height,
-            counts,
-            sequence: None,
-            timestamp: None,
-        }
+        RawFrame::new(width, height, counts)
     }
 
     #[test]

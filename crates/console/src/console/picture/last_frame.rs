@@ -173,23 +173,9 @@ mod tests {
     use crate::units::Seconds;
 
     fn store(root: &Path, stem: &str, dn: u16) {
-        let frame = RawFrame {
-            width: 32,
-            height: 24,
-            counts: vec![dn; 32 * 24],
-            sequence: None,
-            timestamp: None,
-        };
-        let key = FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: 0,
-            kind: FrameKind::Light,
-        };
-        let settings = CameraSettings {
-            exposure: Seconds(0.02),
-            gain: 1.0,
-        };
+        let frame = RawFrame::new(32, 24, vec![dn; 32 * 24]);
+        let key = FrameKey::new(0, 0, 0, FrameKind::Light);
+        let settings = CameraSettings::new(Seconds(0.02), 1.0);
         let sidecar = Sidecar::of_frame(key, LampState::Off, settings);
         std::fs::create_dir_all(root.join("raw")).unwrap();
         let path = root.join("raw").join(stem);

@@ -99,15 +99,7 @@ mod tests {
             bit_depth: 12,
             mosaic: Mosaic::None,
         };
-        let frame = |dn| {
-            Arc::new(RawFrame {
-                width: 16,
-                height: 16,
-                counts: vec![dn; 256],
-                sequence: None,
-                timestamp: None,
-            })
-        };
+        let frame = |dn| Arc::new(RawFrame::new(16, 16, vec![dn; 256]));
         live.show(1, frame(100), counts);
         let first = live.picture(marks(false)).unwrap().unwrap();
         let again = live.picture(marks(false)).unwrap().unwrap();

@@ -148,13 +148,7 @@ mod tests {
             let noise = (0.2 * mean + 9.0).sqrt() * numbers.normal();
             (mean + noise).round() as u16
         });
-        RawFrame {
-            width: SIZE as u32,
-            height: SIZE as u32,
-            counts: counts.collect(),
-            sequence: None,
-            timestamp: None,
-        }
+        RawFrame::new(SIZE as u32, SIZE as u32, counts.collect())
     }
 
     fn marked(frame: &RawFrame, mosaic: Mosaic) -> (usize, usize) {
@@ -188,13 +182,11 @@ mod tests {
     #[test]
     fn frames_smaller_than_the_distances_have_no_edges() {
         for (width, height) in [(0, 0), (1, 1), (3, 2), (7, 9)] {
-            let frame = RawFrame {
+            let frame = RawFrame::new(
                 width,
                 height,
-                counts: (0..width * height).map(|at| (at * 500) as u16).collect(),
-                sequence: None,
-                timestamp: None,
-            };
+                (0..width * height).map(|at| (at * 500) as u16).collect(),
+            );
             let sharp = sharp_blocks(&frame, Mosaic::None, 1);
             assert_eq!(sharp.len(), (width * height) as usize);
         }

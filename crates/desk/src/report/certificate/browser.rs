@@ -26,6 +26,7 @@ const LARGEST_PDF_BYTES: u64 = 256 << 20;
 
 /// Why there is no PDF.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BrowserError {
     /// The browser could not be run.
     #[error(transparent)]
@@ -33,19 +34,12 @@ pub enum BrowserError {
     /// The page could not be written for it.
     #[error("{}: {source}", path.display())]
     Page {
-        /// The file.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
     /// It ended without a PDF.
     #[error("{} made no PDF: {fact}", program.display())]
-    NoPdf {
-        /// The program.
-        program: PathBuf,
-        /// How it ended.
-        fact: String,
-    },
+    NoPdf { program: PathBuf, fact: String },
 }
 
 /// A browser that can print pages.

@@ -58,10 +58,9 @@ impl Source {
 
 /// One pair of angles: a column of the budget.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct Column {
-    /// Half angle, degrees.
     pub theta_h_deg: f64,
-    /// Difference angle, degrees.
     pub theta_d_deg: f64,
     /// f, mean over the channels, 1/sr.
     pub value: f64,

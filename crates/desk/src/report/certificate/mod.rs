@@ -24,6 +24,7 @@ use crate::workflow::{StatedResult, StatedResultError};
 
 /// Why there is no certificate.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum CertificateError {
     /// The session, its fit or its rig file.
     #[error(transparent)]
@@ -34,43 +35,25 @@ pub enum CertificateError {
     /// The fit's verdict.
     #[error("fit {number} of {} is not to be trusted: {reason}", session.display())]
     NotTrusted {
-        /// The session.
         session: PathBuf,
-        /// The fit's number.
         number: u32,
-        /// The gravest reason.
         reason: String,
     },
     /// The session's own files, or what the stage did.
     #[error("{}: {fact}", session.display())]
-    NotWhole {
-        /// The session.
-        session: PathBuf,
-        /// What is wrong.
-        fact: String,
-    },
-    /// The fit has no budget, which a certificate is made of.
+    NotWhole { session: PathBuf, fact: String },
     #[error("fit {number} of {} has no budget of uncertainty", session.display())]
-    NoBudget {
-        /// The session.
-        session: PathBuf,
-        /// The fit's number.
-        number: u32,
-    },
+    NoBudget { session: PathBuf, number: u32 },
     /// The folder of repeats.
     #[error("{}: {source}", path.display())]
     Folder {
-        /// The folder.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
     /// The repeats cannot be compared.
     #[error("{}: {source}", path.display())]
     Repeats {
-        /// The folder.
         path: PathBuf,
-        /// Why.
         source: ReproducibilityError,
     },
     /// The fit's atoms make no BRDF.

@@ -41,24 +41,10 @@ fn record(true_material: Option<&str>) -> SessionRecord {
 }
 
 fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
-    let settings = CameraSettings {
-        exposure: Seconds(exposure),
-        gain: 1.0,
-    };
-    let raw = RawFrame {
-        width: 4,
-        height: 3,
-        counts: vec![100; 12],
-        sequence: None,
-        timestamp: None,
-    };
+    let settings = CameraSettings::new(Seconds(exposure), 1.0);
+    let raw = RawFrame::new(4, 3, vec![100; 12]);
     let place = plan().lights[0];
-    let key = FrameKey {
-        light: 0,
-        exposure: (exposure * 1e3) as u32,
-        repeat,
-        kind: FrameKind::Light,
-    };
+    let key = FrameKey::new(0, (exposure * 1e3) as u32, repeat, FrameKind::Light);
     let sidecar = Sidecar {
         pilot,
         stage_target: place,

@@ -17,21 +17,18 @@ const OWN: &str = "_";
 
 /// Why what a program wrote is no answer.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum AnswerFault {
     /// Not JSON, or a value of another type than its key's.
-    #[error("its answer is no such JSON object: {0}")]
+    #[error("its answer is not a JSON object of the expected form: {0}")]
     Malformed(String),
-    /// A key that has no meaning.
     #[error("its answer has the unknown key {0:?}")]
     UnknownKey(String),
     /// A value outside its range.
     #[error("its answer has {key} = {is}, and {allowed} is allowed")]
     Range {
-        /// The key.
         key: &'static str,
-        /// Its value.
         is: String,
-        /// What it may be.
         allowed: String,
     },
 }

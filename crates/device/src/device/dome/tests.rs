@@ -12,10 +12,7 @@ use crate::units::StageAngles;
 const LIGHTS: [[f64; 2]; 4] = [[0.0, 90.0], [0.0, 45.0], [120.0, 45.0], [-120.0, 30.0]];
 
 fn angles([azimuth_deg, elevation_deg]: [f64; 2]) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 fn bench() -> Bench {

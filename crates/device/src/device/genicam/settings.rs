@@ -144,10 +144,7 @@ pub fn apply(
         let [is, wanted] = [is_us, wanted_us].map(|us| format!("{us} µs"));
         return Err(features.not_applied(exposure, is, &wanted));
     }
-    Ok(CameraSettings {
-        exposure: Seconds(is_us * US),
-        gain,
-    })
+    Ok(CameraSettings::new(Seconds(is_us * US), gain))
 }
 
 /// Gain as a factor of the camera's lowest. Cameras state decibels, or a factor without a

@@ -201,13 +201,7 @@ mod tests {
     fn the_masked_border_is_cut_off() {
         let text = "Image size: 2x2\nRaw size: 4x3\nMargins: top=1, left=2\n";
         let area = parse_area(text).unwrap();
-        let frame = RawFrame {
-            width: 4,
-            height: 3,
-            counts: (0..12).collect(),
-            sequence: None,
-            timestamp: None,
-        };
+        let frame = RawFrame::new(4, 3, (0..12).collect());
         let cropped = area.cropped(frame);
         assert_eq!((cropped.width, cropped.height), (2, 2));
         assert_eq!(cropped.counts, [6, 7, 10, 11]);

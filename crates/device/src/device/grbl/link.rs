@@ -22,7 +22,7 @@ pub const RESET: u8 = 0x18;
 pub type Link = SharedLine<Known>;
 
 /// What the replies so far report about the controller.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Known {
     /// Why the position is unknown; `None` while it is known.
     pub unhomed_since: Option<String>,
@@ -63,18 +63,7 @@ impl SharedLine<Known> {
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
         let known = Known {
             unhomed_since: Some("it was connected".to_owned()),
-            alarm: None,
-            dialect: Dialect::default(),
-            needs_reset: false,
-            restarts: 0,
-            reports: 0,
-            work_offset: None,
-            accessories: None,
-            reports_outputs: false,
-            speed: None,
-            state: None,
-            undervoltage: None,
-            restart_cause: None,
+            ..Known::default()
         };
         Self::with(path, baud, Speaker::Grbl, known)
     }

@@ -47,10 +47,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn angles(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-        StageAngles {
-            azimuth_deg,
-            elevation_deg,
-        }
+        StageAngles::new(azimuth_deg, elevation_deg)
     }
 
     /// Rings at 20°, 50° and 80°: neighbours are at least 4° apart.

@@ -117,20 +117,14 @@ impl TwoAxes {
     /// and an elevation above 90° is beyond the zenith.
     pub fn angles(&self, Pose([first, second]): Pose) -> StageAngles {
         match self.mechanism {
-            Mechanism::Rotary => StageAngles {
-                azimuth_deg: first,
-                elevation_deg: second,
-            },
+            Mechanism::Rotary => StageAngles::new(first, second),
             Mechanism::Arc {
                 radius_mm,
                 centre_height_mm,
             } => {
                 let (sin, cos) = second.to_radians().sin_cos();
                 let height_mm = centre_height_mm + radius_mm * sin;
-                StageAngles {
-                    azimuth_deg: first,
-                    elevation_deg: height_mm.atan2(radius_mm * cos).to_degrees(),
-                }
+                StageAngles::new(first, height_mm.atan2(radius_mm * cos).to_degrees())
             }
             Mechanism::Gantry { height_mm } => {
                 StageAngles::from_direction(DVec3::new(first, second, height_mm))

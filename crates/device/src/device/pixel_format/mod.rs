@@ -168,32 +168,24 @@ pub fn best_of(offered: &[[u8; 4]], bits: Option<u32>, preview: bool) -> Option<
 
 /// A buffer that is not an image of its format.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DecodeError {
     /// Too few bytes.
     #[error("{bytes} bytes, but {width} × {height} pixels in rows of {stride} bytes need {needed}")]
     Short {
-        /// Bytes there.
         bytes: usize,
-        /// Bytes needed.
         needed: usize,
-        /// Pixels per row.
         width: u32,
-        /// Rows.
         height: u32,
-        /// Bytes from one row to the next.
         stride: usize,
     },
     /// Bits set above the significant ones: the samples are not where the
     /// format says, often shifted to the top of the word.
     #[error("pixel ({x}, {y}) is {value}, more than {bits} bits")]
     TooLarge {
-        /// Column.
         x: u32,
-        /// Row.
         y: u32,
-        /// Its value.
         value: u16,
-        /// Significant bits of the format.
         bits: u32,
     },
     /// A compressed image of another size than the stream's.

@@ -188,10 +188,7 @@ fn description(serial: &str) -> Description {
     }
 }
 
-const SETTINGS: CameraSettings = CameraSettings {
-    exposure: Seconds(0.001),
-    gain: 1.0,
-};
+const SETTINGS: CameraSettings = CameraSettings::new(Seconds(0.001), 1.0);
 
 /// A plugged camera that was opened and configured, and whose first frame has come.
 fn ready_camera(address: &str, serial: &'static str) -> (Fake, WebcamCamera<Opened>) {

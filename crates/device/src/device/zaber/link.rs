@@ -17,7 +17,7 @@ const IDS: u8 = 100;
 pub type Link = SharedLine<Known>;
 
 /// What the replies so far report about the stage.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Known {
     /// Why the position is unknown; `None` while it is known.
     pub unhomed_since: Option<String>,
@@ -43,11 +43,7 @@ impl SharedLine<Known> {
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
         let known = Known {
             unhomed_since: Some("it was connected".to_owned()),
-            fault: None,
-            stops: 0,
-            next_id: 0,
-            inbox: Vec::new(),
-            damaged: None,
+            ..Known::default()
         };
         Self::with(path, baud, Speaker::Zaber, known)
     }

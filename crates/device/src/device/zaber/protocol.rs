@@ -38,10 +38,9 @@ pub struct Reply {
 
 /// Something that a device says by itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
 pub struct Alert {
-    /// Which device.
     pub device: u8,
-    /// Which axis.
     pub axis: u8,
     /// It moves.
     pub busy: bool,

@@ -12,10 +12,7 @@ use crate::device::{DeviceError, LampChannel, LampState, LightStage, StageActivi
 use crate::units::StageAngles;
 
 fn angles(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 /// −180° to 180° and 0° to 90°, 1000 microsteps per degree.

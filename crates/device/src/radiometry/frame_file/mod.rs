@@ -65,35 +65,28 @@ impl FrameFile {
 
 /// Why a frame cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FrameFileError {
-    /// Another format.
     #[error("it is neither PNG nor TIFF nor JPEG{}", .0.map(|kind| format!(", but {kind}")).unwrap_or_default())]
     Format(Option<&'static str>),
     /// The counts of a camera's sensor in its maker's own format.
     #[error("it is a camera's raw file ({0})")]
     CameraRaw(&'static str),
-    /// Pixels that are no counts of grey or RGB.
     #[error("it has {0}; frames have grey or RGB samples of 8 to 16 bits")]
     Samples(String),
-    /// A compression that is not read.
     #[error("its compression ({0}) is not read")]
     Compression(String),
     /// Several images in one file.
     #[error("it has {count} {what} ({sizes}), and a frame is one")]
     Pages {
-        /// How many.
         count: usize,
-        /// What they are.
         what: &'static str,
-        /// Their sizes in pixels.
         sizes: String,
     },
-    /// Another size than that of the camera.
     #[error("it is {} x {} pixels; {} x {} are needed", found[0], found[1], needed[0], needed[1])]
     Size {
         /// Pixels per row, and rows.
         found: [usize; 2],
-        /// The size that it should have.
         needed: [usize; 2],
     },
     /// More pixels than any sensor has.

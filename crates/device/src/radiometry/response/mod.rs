@@ -146,39 +146,23 @@ pub fn contrast_spread(curves: &[Response]) -> f64 {
 
 /// Why samples do not make a response.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ResponseError {
     /// One exposure does not determine a curve.
     #[error("{found} different exposures, and at least {MIN_EXPOSURES} are needed")]
-    TooFewExposures {
-        /// How many there are.
-        found: usize,
-    },
-    /// Too few pixels are neither black nor white in two frames.
+    TooFewExposures { found: usize },
     #[error(
         "{found} pixels are well exposed in two frames or more, and at least {MIN_SAMPLES} are needed"
     )]
-    TooFewSamples {
-        /// How many there are.
-        found: usize,
-    },
-    /// Counts that hardly reach over the range.
+    TooFewSamples { found: usize },
     #[error(
         "the well exposed counts reach from {low} to {high} only, which leaves the rest of the curve unknown"
     )]
-    NarrowRange {
-        /// Lowest count seen.
-        low: usize,
-        /// Highest count seen.
-        high: usize,
-    },
-    /// Longer exposures that are not brighter.
+    NarrowRange { low: usize, high: usize },
     #[error(
         "counts do not grow with the exposure: longer frames are brighter in {percent:.0}% of the cases only"
     )]
-    NotBrighter {
-        /// Part of the compared pairs that grow.
-        percent: f64,
-    },
+    NotBrighter { percent: f64 },
 }
 
 /// Exposures that it takes.

@@ -3,7 +3,7 @@
 use super::{EvaluateError, Recovered, failed};
 use crate::calibration::flat::FlatFit;
 use crate::calibration::noise::noise_without_maps;
-use crate::calibration::procedure::{Bench, ProcedureError, ProcedureOptions};
+use crate::calibration::procedure::{LitCamera, ProcedureError, ProcedureOptions};
 use crate::calibration::record::Measured;
 use crate::calibration::sensor::SensorFit;
 use crate::device::even_light::{EvenLight, SensorConfig};
@@ -35,7 +35,7 @@ fn config(seed: u64, nonlinearity: f64) -> SensorConfig {
 fn calibrate(camera: &mut EvenLight) -> Result<SensorFit, EvaluateError> {
     let bit_depth = camera.sensor().config().bit_depth;
     let mut ignore = || {};
-    let transfer = Bench::new(
+    let transfer = LitCamera::new(
         camera,
         ProcedureOptions::default(),
         &mut covered,
@@ -154,7 +154,7 @@ pub(super) fn flat(seed: u64) -> Result<Vec<Recovered>, EvaluateError> {
     };
     let mut ignore = || {};
     let FlatFit { flat, rate_e_s, .. } =
-        Bench::new(&mut camera, options, &mut covered, &mut ignore)
+        LitCamera::new(&mut camera, options, &mut covered, &mut ignore)
             .flat_field(&noise)
             .map_err(|error: ProcedureError| failed(error))?;
     let response = camera.sensor().relative_response();

@@ -45,10 +45,7 @@ fn gantry() -> TwoAxes {
 }
 
 fn angles(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-    StageAngles {
-        azimuth_deg,
-        elevation_deg,
-    }
+    StageAngles::new(azimuth_deg, elevation_deg)
 }
 
 #[test]

@@ -7,10 +7,9 @@ use crate::config::camera::offered;
 
 /// A bench, from answers that are complete and fit each other.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub struct Draft {
-    /// Its name.
     pub name: String,
-    /// What takes the frames.
     pub camera: Camera,
     /// The camera's serial number, where it shows one.
     pub serial: Option<String>,
@@ -20,19 +19,16 @@ pub struct Draft {
     pub bit_depth: u32,
     /// Colour filters, as rig files name them.
     pub mosaic: String,
-    /// The lens.
     pub lens: Lens,
     /// From the lens to the sample's datum, mm.
     pub camera_distance_mm: f64,
     /// Diameter and length of lens and camera, mm; `None` where they block no light.
     pub housing_mm: Option<[f64; 2]>,
-    /// The sample.
     pub sample: Sample,
     /// What brings the light.
     pub stage: Stage,
     /// From the lamp to the sample, mm.
     pub lamp_distance_mm: f64,
-    /// The lamp.
     pub lamp: Lamp,
     /// Wait with the lamp on before the first light, s.
     pub warm_up_s: f64,
@@ -104,19 +100,18 @@ pub enum Sample {
 
 /// The stage.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub enum Stage {
     /// On a GRBL controller.
     Grbl {
         /// Its serial port.
         port: String,
-        /// Its axes.
         axes: Axes,
     },
     /// On Zaber devices.
     Zaber {
         /// Their serial port.
         port: String,
-        /// Their axes.
         axes: Axes,
         /// Device and axis of each.
         devices: [String; 2],

@@ -1,4 +1,4 @@
-//! `--events`: what a capture and its fit report, as JSON lines on stdout for other programs.
+//! What a capture and its fit report, as JSON lines on stdout for other programs.
 //!
 //! Nothing that the reader does holds the capture up: a thread of its own writes the lines
 //! from a bounded queue. Frames about to be taken and the time left are dropped first, the
@@ -8,11 +8,9 @@ use std::fs::File;
 use std::io;
 use std::os::fd::AsFd;
 
-use super::error::CliError;
-use super::output::json_for_terminals;
-use super::stderr::LAST_WORDS;
-use super::write_queue::WriteQueue;
-use crate::capture::{Ending, Observer, Progress, Stamped};
+use super::{Ending, Observer, Progress, Stamped};
+use crate::shown::is_obeyed;
+use crate::write_queue::{LAST_WORDS, WriteQueue};
 
 /// Room for events that a later one supersedes, bytes.
 const SUPERSEDED: usize = 1 << 18;
@@ -23,49 +21,49 @@ const ESSENTIAL: usize = USUAL + (1 << 16);
 
 /// The lines; when it is dropped, the reader gets a second to take what waits.
 #[derive(Clone)]
-pub(super) struct EventLines(&'static WriteQueue);
+pub struct EventLines(&'static WriteQueue);
 
 impl EventLines {
     /// Of this process's stdout, which nothing else may write to from now on.
-    pub(super) fn start() -> Result<Self, CliError> {
+    ///
+    /// # Errors
+    /// No thread can be had.
+    pub fn start() -> io::Result<Self> {
         let stdout = File::from(io::stdout().as_fd().try_clone_to_owned()?);
         let dropped = |count| line(&Progress::Dropped { count });
         Ok(Self(WriteQueue::start("events", stdout, dropped)?))
     }
 
     /// Puts an event into the queue. Never waits.
-    pub(super) fn send(&self, event: &Progress) {
+    pub fn send(&self, event: &Progress) {
         self.0.put(&line(event), room_of(event), true);
     }
 
     /// A warning that the capture itself does not report.
-    pub(super) fn warn(&self, text: &str) {
+    pub fn warn(&self, text: &str) {
         let text = text.to_owned();
         self.send(&Progress::Warning { text });
     }
 
     /// The end of a capture that did not begin.
-    pub(super) fn not_begun(&self, error: &CliError) {
+    pub fn not_begun(&self, error: String) {
         self.send(&Progress::Ended {
             outcome: Ending::Failed,
             session: None,
             elapsed_s: 0.0,
-            error: Some(error.fact().to_owned()),
+            error: Some(error),
             spent: None,
         });
     }
 
-    /// The end of a fit that was made in vain.
-    pub(super) fn fit_failed(&self, error: &CliError) {
-        self.send(&Progress::FitFailed {
-            error: error.fact().to_owned(),
-            hint: error.advice().map(str::to_owned),
-        });
+    /// The end of a fit that was made in vain, with advice where there is some.
+    pub fn fit_failed(&self, error: String, hint: Option<String>) {
+        self.send(&Progress::FitFailed { error, hint });
     }
 
     /// Waits until the reader has taken everything, a second at most; not at all where it
     /// has taken nothing for so long.
-    pub(super) fn flush(&self) {
+    pub fn flush(&self) {
         self.0.flush(LAST_WORDS);
     }
 }
@@ -89,7 +87,7 @@ impl Observer for &EventLines {
 
 fn line(event: &Progress) -> String {
     let text = serde_json::to_string(&Stamped::now(event)).expect("events have only string keys");
-    json_for_terminals(&text)
+    json_line(&text)
 }
 
 fn room_of(event: &Progress) -> usize {
@@ -101,4 +99,19 @@ fn room_of(event: &Progress) -> usize {
         }
         _ => USUAL,
     }
+}
+
+/// JSON and a line end. JSON escapes most of what a terminal obeys; the rest, which stands in
+/// texts alone, is escaped here.
+pub fn json_line(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len() + 1);
+    for c in text.chars() {
+        match c {
+            '\n' => shown.push(c),
+            c if is_obeyed(c) => shown += &format!("\\u{:04x}", u32::from(c)),
+            c => shown.push(c),
+        }
+    }
+    shown.push('\n');
+    shown
 }

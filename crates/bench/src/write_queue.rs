@@ -11,6 +11,8 @@ use std::io::{self, ErrorKind, Write};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+/// How long a program that ends waits for a stream to take what is left.
+pub const LAST_WORDS: Duration = Duration::from_secs(1);
 /// Between two attempts on a stream that does not wait itself (`O_NONBLOCK`).
 const RETRY: Duration = Duration::from_millis(10);
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::config::view::SurfaceSpec;
+use super::view::SurfaceSpec;
 use crate::transport::visibility::{Concern, Visibility};
 
 /// Which kind of file describes a scene, and so what its keys are called.
