@@ -38,6 +38,7 @@ const FILES: &[(&str, &str)] = files![
     "work.js",
     "shortcuts.js",
     "setup.js",
+    "benches.js",
     "drawings.js",
     "verdict.js",
     "reach.js",
