@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-#[cfg(feature = "console")]
 use super::capture_console::ConsoleOptions;
 use super::capture_events::EventLines;
 use super::capture_notices::{Terminal, advised};
@@ -24,6 +23,8 @@ use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
+#[cfg(feature = "console")]
+use crate::shown::nth;
 use crate::units::{StageAngles, size};
 use crate::workflow::{FitWork, work_of};
 
@@ -341,7 +342,7 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
     let channels = plan.channels.len();
     out!("{} lights, {channels} lamp channels", plan.lights.len())?;
     for (light, angles) in plan.lights.iter().enumerate() {
-        out!("  light {light}: {angles}")?;
+        out!("  {light}: {angles}", light = nth("light", light))?;
     }
     out!(
         "exposures from {} to {}, each at most {} times the one before, up to {} frames of each averaged",

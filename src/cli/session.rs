@@ -13,6 +13,7 @@ use crate::session::layout;
 use crate::session::verify::{Summary, verify};
 use crate::session::{Session, SessionError};
 use crate::shown::excerpt;
+use crate::shown::nth;
 use crate::units::StageAngles;
 
 /// Checks sessions and lists what they hold.
@@ -232,7 +233,10 @@ fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
     print(&summary)?;
     for (light, angles, frames, finished) in lights {
         let state = if finished { "finished" } else { "open" };
-        out!("  light {light}: {angles}: {frames} frames, {state}")?;
+        out!(
+            "  {light}: {angles}: {frames} frames, {state}",
+            light = nth("light", light)
+        )?;
     }
     Ok(())
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::{CellOptions, Grid, choose};
 use crate::radiance_image::RadianceImage;
+use crate::shown::nth;
 use crate::transport::Scene;
 use crate::transport::cells::{Cell, Cells};
 use crate::transport::event::MAX_LIGHTS;
@@ -53,7 +54,7 @@ pub enum AverageError {
     },
     /// An image does not have the camera's size.
     #[error(
-        "image {image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1]
+        "{image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1], image = nth("image", *image)
     )]
     ImageSize {
         /// Index of the image.
@@ -69,7 +70,7 @@ pub enum AverageError {
     #[error("no part of the sample is seen away from its edges")]
     NothingSeen,
     /// Nothing of an image can be compared.
-    #[error("no cell of image {image} has enough valid pixels on the sample")]
+    #[error("no cell of {image} has enough valid pixels on the sample", image = nth("image", *image))]
     NothingValid {
         /// Index of the image with the fewest valid pixels.
         image: usize,

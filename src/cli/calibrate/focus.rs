@@ -1,5 +1,6 @@
 //! `rig calibrate focus`: how sharp the camera is over the sample's depth.
 
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use super::target::CommonArgs;
@@ -32,9 +33,9 @@ pub(super) struct FocusArgs {
     /// once for each height
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     region: Vec<Region>,
-    /// Which light's image of a session is used
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    light: usize,
+    /// Which light's image of a session is used, from 1
+    #[arg(long, value_name = "N", default_value = "1")]
+    light: NonZeroUsize,
 }
 
 fn height(text: &str) -> Result<f64, String> {
@@ -123,7 +124,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
 }
 
 /// An image, of a file or of a session's light.
-pub(super) fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {
+pub(super) fn read(path: &Path, light: NonZeroUsize, rig: &str) -> Result<RadianceImage, CliError> {
     if !path.is_dir() {
         return Ok(exr::read(path)?.image);
     }
@@ -140,15 +141,13 @@ pub(super) fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage
         )));
     }
     let lights = session.captured.len();
-    session.captured.into_iter().nth(light).ok_or_else(|| {
+    let captured = session.captured.into_iter().nth(light.get() - 1);
+    captured.ok_or_else(|| {
         CliError::new(format!(
             "{} has {lights} lights, not light {light}",
             path.display()
         ))
-        .hint(format!(
-            "--light counts from 0 to {}",
-            lights.saturating_sub(1)
-        ))
+        .hint(format!("--light counts from 1 to {lights}"))
     })
 }
 

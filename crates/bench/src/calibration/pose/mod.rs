@@ -34,6 +34,7 @@ mod values;
 mod tests;
 
 use super::record::Measured;
+use crate::shown::nth;
 
 pub use align::{align, find};
 #[cfg(feature = "figures")]
@@ -120,7 +121,7 @@ pub enum PoseError {
         lights: usize,
     },
     /// An image does not have the camera's size.
-    #[error("the image of light {light} is not {width} × {height} pixels as the camera's are")]
+    #[error("the image of {light} is not {width} × {height} pixels as the camera's are", light = nth("light", *light))]
     ImageSize {
         /// From 0.
         light: usize,

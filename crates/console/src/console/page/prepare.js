@@ -163,7 +163,7 @@ function captureForm() {
     say(why, reason ?? "");
     const listing = choice() === "listed";
     const lights = plan?.lights ?? (listing ? directions.map(([azimuth_deg, elevation_deg]) => ({ azimuth_deg, elevation_deg })) : []);
-    map.show({ ...surroundings(), lights: lights.map((light, i) => ({ ...light, label: i, state: "to-come" })) });
+    map.show({ ...surroundings(), lights: lights.map((light, i) => ({ ...light, label: i + 1, state: "to-come" })) });
     facts(numbers, plan ? planRows(plan) : []);
   }
 

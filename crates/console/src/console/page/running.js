@@ -169,7 +169,7 @@ function framePanel() {
     counts.show(frame?.figures ?? null);
     const channels = state.console?.rig?.channels ?? [];
     facts(list, frame ? [
-      ["Frame", `light ${frame.light}, ${KINDS[frame.kind] ?? frame.kind}`],
+      ["Frame", `light ${frame.light + 1}, ${KINDS[frame.kind] ?? frame.kind}`],
       ["Lamp", frame.lamp === null || frame.lamp === undefined ? "off" : (channels[frame.lamp] ?? `channel ${frame.lamp}`)],
       ["Exposure", exposure(frame.exposure_s)],
     ] : []);
@@ -199,7 +199,7 @@ function lightsPanel() {
   const element = panel("Lights", {}, map.element, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Table of lights" }, table));
   function show(capture) {
     const lights = capture?.lights ?? [];
-    map.show({ ...surroundings(), lights: lights.map((light) => ({ ...pick(light), label: light.index, title: `light ${light.index}, ${direction(light.azimuth_deg, light.elevation_deg)}, ${LIGHT_STATES[light.state]}` })) });
+    map.show({ ...surroundings(), lights: lights.map((light) => ({ ...pick(light), label: light.index + 1, title: `light ${light.index + 1}, ${direction(light.azimuth_deg, light.elevation_deg)}, ${LIGHT_STATES[light.state]}` })) });
     redraw(body, lights, () => lights.map(row));
   }
   return { element, show };
@@ -218,7 +218,7 @@ function row(light) {
     light.retakes ? String(light.retakes) : "–",
     drift(light.drift_percent ?? NaN, light.drift_u_percent ?? NaN),
   ];
-  return h("tr", { class: light.state, "aria-current": light.state === "now" ? "step" : null }, h("th", { scope: "row" }, String(light.index)), cells.map((text, i) => h("td", { class: i === 1 ? "state" : null }, text)));
+  return h("tr", { class: light.state, "aria-current": light.state === "now" ? "step" : null }, h("th", { scope: "row" }, String(light.index + 1)), cells.map((text, i) => h("td", { class: i === 1 ? "state" : null }, text)));
 }
 
 function warningsPanel() {
