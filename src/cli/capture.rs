@@ -14,7 +14,7 @@ use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
-use super::{fit, interrupt, open};
+use super::{fit, interrupt, open, operator};
 use crate::capture::Outcome;
 use crate::capture::light_choice::Ranking;
 use crate::capture::open::open_devices;
@@ -205,7 +205,8 @@ fn start(
 
     // The devices.
     let interrupt = interrupt::listen()?;
-    let devices = open_devices(&rig.config, &open::options(&rig.config)?)?;
+    let devices = open::options_for(&rig.config, || operator::of_capture(lines))?;
+    let devices = open_devices(&rig.config, &devices)?;
     let job = prepared.begin(devices, &mut |notice| terminal.show(notice))?;
     Ok(Some((job, interrupt)))
 }

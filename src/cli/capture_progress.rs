@@ -98,6 +98,7 @@ impl Observer for Bar<'_> {
                 ));
             }
             Progress::Begun { .. }
+            | Progress::Asked { .. }
             | Progress::Planned { .. }
             | Progress::Stored { .. }
             | Progress::Drift { .. }

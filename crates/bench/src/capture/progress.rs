@@ -108,6 +108,15 @@ pub enum Progress {
         #[serde(flatten)]
         target: StageAngles,
     },
+    /// The person at a manual stage is asked to do something; what they answer is a line of the
+    /// capture's stdin.
+    Asked {
+        /// Counts the requests up, from 1.
+        number: u64,
+        /// What to do.
+        #[serde(flatten)]
+        work: HandWork,
+    },
     /// The exposures of a light are decided.
     Planned {
         /// Index.
@@ -216,6 +225,21 @@ pub enum Progress {
         /// How many.
         count: u64,
     },
+}
+
+/// What the person at a manual stage is asked to do.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "do", rename_all = "kebab-case")]
+pub enum HandWork {
+    /// Put or hold the lamp where it shines from this direction.
+    Place(StageAngles),
+    /// Switch on this channel of the lamp, and no other.
+    LampOn {
+        /// Its number.
+        channel: LampChannel,
+    },
+    /// Switch the lamp off.
+    LampOff,
 }
 
 /// Which frame.

@@ -123,6 +123,7 @@ pub fn routes(jobs: Jobs) -> Router {
         .route("/api/capture/pause", post(pause))
         .route("/api/capture/continue", post(go_on))
         .route("/api/capture/finish", post(finish))
+        .route("/api/capture/answer", post(answer))
         .route("/api/capture/stop", post(stop))
         .route("/api/jobs/stop", post(stop))
         .with_state(jobs)
@@ -305,6 +306,23 @@ async fn go_on(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Acce
 
 async fn finish(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Accepted {
     of_capture(&jobs, Jobs::finish)
+}
+
+#[derive(Deserialize)]
+struct HandAnswer {
+    number: u64,
+    done: bool,
+}
+
+async fn answer(
+    State(jobs): State<Jobs>,
+    _: Controlled,
+    Asked(form): Asked<HandAnswer>,
+) -> Accepted {
+    match blocking(move || jobs.answer(form.number, form.done)).await? {
+        true => accepted(json!({})),
+        false => Err(Refusal::conflict("this question is answered already")),
+    }
 }
 
 /// By anyone, at any time. What is being stopped: null where no job runs.
