@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
+#[cfg(feature = "console")]
 use super::capture_console::ConsoleOptions;
 use super::capture_events::EventLines;
 use super::capture_notices::{Terminal, advised};
@@ -23,7 +24,6 @@ use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
-#[cfg(feature = "console")]
 use crate::shown::nth;
 use crate::units::{StageAngles, size};
 use crate::workflow::{FitWork, work_of};
@@ -53,6 +53,12 @@ pub struct CaptureArgs {
     /// Name of the sample: letters, digits, dots, hyphens, underscores
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     sample: Option<String>,
+    /// What is known of its material, for the session
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["resume", "queue"])]
+    material: Option<String>,
+    /// Anything else about the sample, for the session
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["resume", "queue"])]
+    comment: Option<String>,
     /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
     #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
@@ -96,6 +102,8 @@ impl CaptureArgs {
             light: Vec::new(),
             out,
             sample: None,
+            material: None,
+            comment: None,
             dry_run: false,
             queue: None,
             resume: None,
@@ -185,6 +193,8 @@ fn start(
     let lights = args.named_lights();
     let request = CaptureRequest {
         sample: args.sample.clone(),
+        material: args.material.clone(),
+        comment: args.comment.clone(),
         only_plan: args.dry_run,
         ..CaptureRequest::new(lights.unwrap_or(Lights::Listed(Vec::new())), &args.out)
     };

@@ -43,11 +43,13 @@ pub(super) struct QueueRequest<'a> {
 }
 
 /// What the operator answers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum Answer {
     Go,
     Repeat,
-    LeaveOut,
+    /// With a reason.
+    LeaveOut(Option<String>),
+    TakeBack,
     Quit,
 }
 
@@ -90,14 +92,11 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
         1 => context.note(format!("1 capture is left; {GO_ON}")),
         left => context.note(format!("{left} captures are left; {GO_ON}")),
     }
-    let left_out = |sample: &&Sample| queue.left_out_of(sample) > 0;
-    if let Some(sample) = queue.samples().iter().find(left_out) {
-        context.note(format!(
-            "to capture what was left out after all, raise `repeats` in {} (for {}: {})",
-            request.file.display(),
-            sample.name,
-            sample.repeats + queue.left_out_of(sample)
-        ));
+    let is_left_out = |sample: &Sample| queue.left_out(sample).is_some();
+    if queue.left() == 0 && queue.samples().iter().any(is_left_out) {
+        context.note(
+            "to capture what was left out after all, give the same command and answer b at its end",
+        );
     }
     let failed = |run: &&Entry| matches!(&run.state, RunState::Done { error: Some(_), .. });
     match queue.entries().iter().find(failed) {
@@ -222,9 +221,9 @@ impl Work<'_> {
         let question = format!("{put}, then Enter;{repeats} s leaves this one out, q ends");
         match self.ask(&question, !repeats.is_empty())? {
             Answer::Quit => return Ok(false),
-            Answer::LeaveOut => queue.leave_out(name)?,
+            Answer::LeaveOut(reason) => queue.leave_out(name, reason.as_deref())?,
             Answer::Repeat => drop(queue.again()?),
-            Answer::Go => {
+            Answer::Go | Answer::TakeBack => {
                 queue.next(name)?;
                 let job = self.begin(sample)?;
                 let session = name_of(job.root());
@@ -243,8 +242,8 @@ impl Work<'_> {
         let session = name_of(root);
         match self.ask(&question, false)? {
             Answer::Quit => return Ok(false),
-            Answer::LeaveOut => queue.abandon(&session)?,
-            Answer::Go | Answer::Repeat => {
+            Answer::LeaveOut(_) => queue.abandon(&session)?,
+            Answer::Go | Answer::Repeat | Answer::TakeBack => {
                 let job = capture_run::resume(root, self.context, None)?;
                 self.capture(queue, job, &session)?;
             }
@@ -252,14 +251,32 @@ impl Work<'_> {
         Ok(true)
     }
 
-    /// When all is done, the last sample can still be repeated.
+    /// When all is done, the last sample can still be repeated, and what was left out be captured.
     fn end(&self, queue: &mut Queue) -> Result<bool, CliError> {
-        let Some(last) = queue.last() else {
+        let left_out = queue
+            .samples()
+            .iter()
+            .filter(|of| queue.left_out(of).is_some());
+        let left_out: Vec<_> = left_out.map(|sample| sample.name.clone()).collect();
+        let last = queue.last().map(str::to_owned);
+        let mut question = "All samples are done; Enter ends".to_owned();
+        if let Some(last) = &last {
+            question += &format!(", r repeats the last one ({last})");
+        }
+        if let Some(first) = left_out.first() {
+            question += &format!(", b brings back what was left out ({first})");
+        }
+        if last.is_none() && left_out.is_empty() {
             return Ok(false);
-        };
-        let question = format!("All samples are done; Enter ends, r repeats the last one ({last})");
-        match self.ask(&question, true)? {
+        }
+        match self.ask(&question, last.is_some())? {
             Answer::Repeat => Ok(queue.again()?.is_some()),
+            Answer::TakeBack => {
+                let back = |name: &String| queue.take_back(name);
+                // The last one taken back comes first.
+                left_out.iter().rev().try_for_each(back)?;
+                Ok(!left_out.is_empty())
+            }
             _ => Ok(false),
         }
     }
@@ -332,6 +349,7 @@ impl Work<'_> {
 
     /// Asks until there is an answer; the end of the input is `q`.
     fn ask(&self, question: &str, repeats: bool) -> Result<Answer, CliError> {
+        let is_end = question.contains(", b brings back");
         let interrupted =
             |signal| CliError::interrupted(signal, "the queue was interrupted").hint(GO_ON);
         let _ending = interrupt::ending_on_signal(self.context, &self.interrupt, interrupted)?;
@@ -347,14 +365,15 @@ impl Work<'_> {
             if !std::io::stdin().is_terminal() {
                 write_stderr("\n");
             }
-            match String::from_utf8_lossy(&line)
-                .trim()
-                .to_lowercase()
-                .as_str()
-            {
+            let line = String::from_utf8_lossy(&line);
+            let (word, rest) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
+            let reason = Some(rest.trim().to_owned()).filter(|reason| !reason.is_empty());
+            match word.to_lowercase().as_str() {
+                "s" => return Ok(Answer::LeaveOut(reason)),
+                _ if reason.is_some() => self.tell("that is none of the answers"),
                 "" => return Ok(Answer::Go),
                 "r" if repeats => return Ok(Answer::Repeat),
-                "s" => return Ok(Answer::LeaveOut),
+                "b" if is_end => return Ok(Answer::TakeBack),
                 "q" => return Ok(Answer::Quit),
                 _ => self.tell("that is none of the answers"),
             }
@@ -383,6 +402,7 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
                 "sample": sample.name,
                 "sessions": runs.collect::<Vec<_>>(),
                 "left_out": queue.left_out_of(sample),
+                "reason": queue.left_out(sample).and_then(|out| out.reason.as_deref()),
                 "unreadable": unreadable(queue, sample).collect::<Vec<_>>(),
                 "left": queue.left_of(sample),
             })
@@ -413,11 +433,17 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
             (queue.left_of(sample), "to do"),
         ];
         for (count, state) in others {
-            let state = match count {
+            let mut state = match count {
                 0 => continue,
                 1 => state.to_owned(),
                 count => format!("{count} {state}"),
             };
+            let out = queue
+                .left_out(sample)
+                .filter(|_| state.ends_with("left out"));
+            if let Some(reason) = out.and_then(|out| out.reason.as_ref()) {
+                state += &format!(": {}", escaped(reason));
+            }
             table.row([name(), String::new(), state, String::new()]);
         }
     }

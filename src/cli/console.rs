@@ -28,6 +28,7 @@ use crate::console::frames;
 use crate::console::hub::Hub;
 use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
+use crate::console::queue;
 use crate::console::rigs::{self, Rigs};
 use crate::console::server::{ListenOptions, Parts, Running, Server, is_host_name};
 use crate::fault::Fault;
@@ -346,6 +347,7 @@ impl Console {
             ))
             .merge(catalogue::routes(pages))
             .merge(catalogue::action_routes(jobs.clone()))
+            .merge(queue::routes(jobs.clone()))
             .merge(rigs::routes(rigs));
         let running = server.start(Parts {
             hub,

@@ -6,7 +6,7 @@ use rig_core::{brdf, file_system, geometry, radiance_image, shown, transport, un
 
 use rig_bench::plot;
 use rig_bench::{
-    beneath, calibration, capture, catalogue, checksum, config, fault, session, shell_words,
+    beneath, calibration, capture, catalogue, checksum, config, fault, queue, session, shell_words,
     workflow,
 };
 use rig_desk::{export, report};

@@ -9,6 +9,7 @@
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`facts`]: what a page learns about the rig.
+//! - [`queue`]: many samples one after the other.
 //! - [`rigs`]: the rig files of the folder, edited and chosen.
 //! - [`control`]: which page controls the bench.
 //!
@@ -25,6 +26,7 @@ pub mod frames;
 pub mod hub;
 pub mod jobs;
 pub mod picture;
+pub mod queue;
 pub mod refusal;
 pub mod request;
 pub mod rigs;

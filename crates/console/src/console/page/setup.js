@@ -6,6 +6,7 @@ import { copyButton, gate, h, panel, redraw, say } from "./dom.js";
 import { drawing } from "./drawings.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
+import { calibrationsPanel } from "./records.js";
 import { watch } from "./stream.js";
 
 /** The parts of a bench in the order of their questions: id, heading, and which keys belong to it. */
@@ -22,6 +23,7 @@ const SECTIONS = [
 /** Builds the view; the returned function shows and hides it. */
 export function startSetup(view) {
   const benches = benchesPart();
+  const calibrations = calibrationsPanel();
   const questions = h("div", { class: "questions" });
   const write = h("button", { type: "submit", class: "primary", id: "write-rig" }, "Write the rig file");
   const again = h("button", { type: "button", class: "quiet", onclick: () => load(true) }, "Look for devices again");
@@ -35,6 +37,7 @@ export function startSetup(view) {
       "div",
       { class: "stack narrow" },
       benches.element,
+      calibrations.element,
       panel("A new bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name."), form),
       result,
     ),
@@ -133,6 +136,7 @@ export function startSetup(view) {
   return (on) => {
     if (on) load(false);
     if (on) benches.load();
+    if (on) calibrations.load();
     show();
   };
 }

@@ -5,6 +5,7 @@ import { by, h } from "./dom.js";
 const KEYS = [
   ["b", "Bench", () => go("#bench")],
   ["c", "Capture", () => go("#capture")],
+  ["q", "Queue", () => go("#queue")],
   ["s", "Sessions", () => go("#sessions")],
   ["u", "Set-up", () => go("#setup")],
   ["/", "Search the sessions", search],

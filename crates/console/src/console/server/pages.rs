@@ -31,6 +31,7 @@ const FILES: &[(&str, &str)] = files![
     "capture.js",
     "prepare.js",
     "running.js",
+    "queue.js",
     "sessions.js",
     "session.js",
     "compare.js",
@@ -42,6 +43,7 @@ const FILES: &[(&str, &str)] = files![
     "drawings.js",
     "verdict.js",
     "reach.js",
+    "records.js",
 ];
 
 /// The kind of a file by its ending.
