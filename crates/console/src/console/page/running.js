@@ -50,7 +50,7 @@ export function runningPart(onleave) {
   const frame = framePanel();
   const lights = lightsPanel();
   const warnings = warningsPanel();
-  const element = h("div", { class: "stack during" }, heading.element, hands.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
+  const element = h("div", { class: "stack during" }, hands.element, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
   const parts = [heading, hands, frame, lights, warnings];
   const show = () => {
     for (const part of parts) part.show(state.capture, state.job);
