@@ -116,7 +116,7 @@ test("a bench is edited and chosen, and its lamp held by hand; STOP ends a quest
   await page.keyboard.press("Space");
   await asked("Switch the lamp on: red alone");
   await page.keyboard.press("Space");
-  await asked("Switch the lamp off");
+  await asked("Switch the lamp on: green alone");
   await page.evaluate(() => document.querySelector("#stop").click());
   await untilCapture(page, "interrupted", "failed");
   assert.ok(await page.evaluate(() => !document.querySelector("#hands").checkVisibility()));
