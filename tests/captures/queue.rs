@@ -167,7 +167,7 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
             .any(|row| row.split_whitespace().eq(["jar", "2", "to", "do"])),
         "{back}"
     );
-    assert_done(&answered(folder, "s\n"));
+    assert_done(&answered(folder, "s scratched\n"));
     assert_eq!(sessions(folder, "bowl"), std::slice::from_ref(&bowl));
     assert_eq!(sessions(folder, "cup").len(), 2);
     for root in sessions(folder, "cup").iter().chain([&bowl]) {

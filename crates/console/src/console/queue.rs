@@ -113,19 +113,6 @@ async fn list(State(jobs): State<Jobs>) -> Shown {
     Ok(Json(queue.unwrap_or_else(empty)))
 }
 
-/// Changes the queue; what it is then.
-async fn changed(
-    jobs: Jobs,
-    change: impl FnOnce(&mut Queue) -> Result<(), QueueError> + Send + 'static,
-) -> Shown {
-    let done = move || {
-        let mut queue = needed(&jobs)?;
-        change(&mut queue)?;
-        Ok::<_, Refusal>(shown(&queue))
-    };
-    Ok(Json(blocking(done).await??))
-}
-
 #[derive(Deserialize)]
 struct Added {
     /// A table with a header, or names, one a line.
@@ -254,6 +241,10 @@ fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
     if let Some(kind) = jobs.running() {
         return Err(Refusal::conflict(format!("{} is running", kind.what())));
     }
+    if let Err(fact) = form.lights.parse::<Lights>() {
+        let status = StatusCode::UNPROCESSABLE_ENTITY;
+        return Err(Refusal::new(status, format!("lights: {fact}")));
+    }
     let mut queue = needed(jobs)?;
     let program = jobs.program();
     let work = match queue.step() {
@@ -331,21 +322,43 @@ struct OfSample {
     reason: Option<String>,
 }
 
+/// Changes what the queue has of a listed sample.
+async fn of_sample(
+    jobs: Jobs,
+    sample: String,
+    change: impl FnOnce(&mut Queue, &str) -> Result<(), QueueError> + Send + 'static,
+) -> Shown {
+    let done = move || {
+        let mut queue = needed(&jobs)?;
+        if !queue.samples().iter().any(|listed| listed.name == sample) {
+            return Err(Refusal::missing("there is no such sample in the list"));
+        }
+        change(&mut queue, &sample)?;
+        Ok(shown(&queue))
+    };
+    Ok(Json(blocking(done).await??))
+}
+
 async fn skip(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<OfSample>) -> Shown {
     let reason = form.reason.map(|reason| rig_core::shown::line(&reason));
     let reason = reason.filter(|reason| !reason.is_empty());
-    changed(jobs, move |queue| {
-        queue.leave_out(&form.sample, reason.as_deref())
+    of_sample(jobs, form.sample, move |queue, name| {
+        queue.leave_out(name, reason.as_deref())
     })
     .await
 }
 
 async fn back(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<OfSample>) -> Shown {
-    changed(jobs, move |queue| queue.take_back(&form.sample)).await
+    of_sample(jobs, form.sample, |queue, name| queue.take_back(name)).await
 }
 
 async fn again(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Shown {
-    changed(jobs, |queue| queue.again().map(drop)).await
+    let done = move || {
+        let mut queue = needed(&jobs)?;
+        queue.again()?;
+        Ok::<_, Refusal>(shown(&queue))
+    };
+    Ok(Json(blocking(done).await??))
 }
 
 #[cfg(test)]
