@@ -4,6 +4,13 @@
 use std::borrow::Cow;
 use std::error::Error;
 
+/// A thing of this index as people read it, who count from 1 where data count from 0:
+/// `nth("light", 2)` is "light 3".
+pub fn nth(what: &str, index: impl TryInto<usize>) -> String {
+    let index = index.try_into().unwrap_or(usize::MAX);
+    format!("{what} {}", index.saturating_add(1))
+}
+
 /// Characters of a quoted piece of input: a word, a key, a name.
 pub const PIECE: usize = 80;
 /// Characters of another parser's message, which may quote its input.
@@ -158,5 +165,11 @@ mod tests {
             prop_assert!(!line(&text).contains(is_obeyed));
             prop_assert!(!escaped(&text).contains(is_obeyed));
         }
+    }
+
+    #[test]
+    fn people_count_from_one() {
+        assert_eq!(nth("light", 2_u32), "light 3");
+        assert_eq!(nth("image", 0_usize), "image 1");
     }
 }

@@ -176,7 +176,7 @@ def test_images(scene, images):
         ([images[0].mean.astype(complex), images[1]], "real numbers"),
         ([object(), images[1]], "of type object"),
         (images[:1], "1 images for 2 lights"),
-        ([images[0].mean[:8], images[1].mean], "image 0 is 20 × 8"),
+        ([images[0].mean[:8], images[1].mean], "image 1 is 20 × 8"),
         ("image.exr", "a list of them is needed"),
     ]
     for bad, said in cases:

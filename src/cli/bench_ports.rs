@@ -1,6 +1,8 @@
 //! What the console's bench needs from the command line: opening devices as `rig stage` and
 //! `rig camera` do, and the advice on their errors.
 
+use std::sync::Arc;
+
 use super::error::CliError;
 use super::{hints, open};
 use crate::capture::open::open_devices;
@@ -8,7 +10,8 @@ use crate::config::ResolvedRig;
 use crate::console::bench::{BenchPorts, Opened};
 use crate::console::control::Control;
 use crate::console::picture::levels::SensorRecords;
-use crate::device::CameraSettings;
+use crate::device::manual::{Operator, Request};
+use crate::device::{CameraSettings, LampState};
 use crate::fault::{Advisor, Fault};
 use crate::units::Seconds;
 
@@ -24,7 +27,7 @@ pub(super) fn of_rig(rig: &ResolvedRig, control: &Control) -> BenchPorts {
     let gain = config.camera.gain;
     BenchPorts {
         open: Box::new(move || {
-            let devices = open::options(&config)
+            let devices = open::options_for(&config, || Ok(Arc::new(HandsOff)))
                 .and_then(|options| Ok(open_devices(&config, &options)?))
                 .map_err(fault)?;
             Ok(Opened::Rig(devices))
@@ -34,6 +37,16 @@ pub(super) fn of_rig(rig: &ResolvedRig, control: &Control) -> BenchPorts {
         settings: CameraSettings { exposure, gain },
         silence: Box::new(move || control.silence()),
     }
+}
+
+/// By hand nothing is placed or lit from the page between captures: the lamp is off.
+struct HandsOff;
+
+impl Operator for HandsOff {
+    fn ask(&self, request: Request) -> bool {
+        request == Request::Lamp(LampState::Off)
+    }
+    fn tell(&self, _: Request) {}
 }
 
 /// The advice that the command line gives.

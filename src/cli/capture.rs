@@ -14,7 +14,7 @@ use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
-use super::{fit, interrupt, open};
+use super::{fit, interrupt, open, operator};
 use crate::capture::Outcome;
 use crate::capture::event_lines::EventLines;
 use crate::capture::light_choice::Ranking;
@@ -25,6 +25,7 @@ use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
+use crate::shown::nth;
 use crate::units::{StageAngles, size};
 use crate::workflow::{FitWork, work_of};
 
@@ -53,6 +54,12 @@ pub struct CaptureArgs {
     /// Name of the sample: letters, digits, dots, hyphens, underscores
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     sample: Option<String>,
+    /// What is known of its material, for the session
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["resume", "queue"])]
+    material: Option<String>,
+    /// Anything else about the sample, for the session
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["resume", "queue"])]
+    comment: Option<String>,
     /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
     #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
@@ -96,6 +103,8 @@ impl CaptureArgs {
             light: Vec::new(),
             out,
             sample: None,
+            material: None,
+            comment: None,
             dry_run: false,
             queue: None,
             resume: None,
@@ -172,6 +181,8 @@ fn start(
     let lights = args.named_lights();
     let request = CaptureRequest {
         sample: args.sample.clone(),
+        material: args.material.clone(),
+        comment: args.comment.clone(),
         only_plan: args.dry_run,
         ..CaptureRequest::new(lights.unwrap_or(Lights::Listed(Vec::new())), &args.out)
     };
@@ -192,7 +203,8 @@ fn start(
 
     // The devices.
     let interrupt = interrupt::listen()?;
-    let devices = open_devices(&rig.config, &open::options(&rig.config)?)?;
+    let devices = open::options_for(&rig.config, || operator::of_capture(lines))?;
+    let devices = open_devices(&rig.config, &devices)?;
     let job = prepared.begin(devices, &mut |notice| terminal.show(notice))?;
     Ok(Some((job, interrupt)))
 }
@@ -329,7 +341,7 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
     let channels = plan.channels.len();
     out!("{} lights, {channels} lamp channels", plan.lights.len())?;
     for (light, angles) in plan.lights.iter().enumerate() {
-        out!("  light {light}: {angles}")?;
+        out!("  {light}: {angles}", light = nth("light", light))?;
     }
     out!(
         "exposures from {} to {}, each at most {} times the one before, up to {} frames of each averaged",

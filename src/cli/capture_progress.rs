@@ -11,6 +11,7 @@ use super::interrupt;
 use super::progress::duration;
 use crate::capture::{Observer, Progress, Spent};
 use crate::device::FrameKind;
+use crate::shown::nth;
 use crate::units::Seconds;
 
 /// A bar on stderr, or nothing where that is no terminal; warnings always.
@@ -91,10 +92,13 @@ impl Observer for Bar<'_> {
             Progress::Left { seconds } => self.left.set(Some(Seconds(*seconds))),
             Progress::Homing => self.bar.set_message("homing"),
             Progress::Moving { light, target } => {
-                self.bar
-                    .set_message(format!("light {light}: moving to {target}"));
+                self.bar.set_message(format!(
+                    "{light}: moving to {target}",
+                    light = nth("light", *light)
+                ));
             }
             Progress::Begun { .. }
+            | Progress::Asked { .. }
             | Progress::Planned { .. }
             | Progress::Stored { .. }
             | Progress::Drift { .. }
@@ -117,7 +121,7 @@ impl Observer for Bar<'_> {
                 };
                 let exposure = Seconds(frame.exposure_s);
                 self.bar
-                    .set_message(format!("light {}, {what}, {exposure}", frame.light));
+                    .set_message(format!("{}, {what}, {exposure}", nth("light", frame.light)));
             }
             Progress::Merging => {
                 self.bar.set_position(LENGTH);

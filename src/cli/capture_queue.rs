@@ -73,14 +73,11 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
         1 => context.note(format!("1 capture is left; {GO_ON}")),
         left => context.note(format!("{left} captures are left; {GO_ON}")),
     }
-    let left_out = |sample: &&Sample| queue.left_out_of(sample) > 0;
-    if let Some(sample) = queue.samples().iter().find(left_out) {
-        context.note(format!(
-            "to capture what was left out after all, raise `repeats` in {} (for {}: {})",
-            request.file.display(),
-            sample.name,
-            sample.repeats + queue.left_out_of(sample)
-        ));
+    let is_left_out = |sample: &Sample| queue.left_out(sample).is_some();
+    if queue.left() == 0 && queue.samples().iter().any(is_left_out) {
+        context.note(
+            "to capture what was left out after all, give the same command and answer b at its end",
+        );
     }
     let failed = |run: &&Entry| matches!(&run.state, RunState::Done { error: Some(_), .. });
     match queue.entries().iter().find(failed) {
@@ -185,9 +182,15 @@ fn words(question: Question<'_>) -> (String, bool) {
             );
             return (text, false);
         }
-        Question::Done { last } => {
-            let text = format!("All samples are done; Enter ends, r repeats the last one ({last})");
-            return (text, true);
+        Question::Done { last, left_out } => {
+            let mut text = "All samples are done; Enter ends".to_owned();
+            if let Some(last) = last {
+                text += &format!(", r repeats the last one ({last})");
+            }
+            if let Some(first) = left_out {
+                text += &format!(", b brings back what was left out ({first})");
+            }
+            return (text, last.is_some());
         }
         Question::Put {
             sample,
@@ -281,6 +284,13 @@ impl Worker for Work<'_> {
 
     /// Asks until there is an answer; the end of the input is `q`.
     fn ask(&self, question: Question<'_>) -> Result<Answer, CliError> {
+        let is_end = matches!(
+            question,
+            Question::Done {
+                left_out: Some(_),
+                ..
+            }
+        );
         let (question, repeats) = words(question);
         let interrupted =
             |signal| CliError::interrupted(signal, "the queue was interrupted").hint(GO_ON);
@@ -297,14 +307,15 @@ impl Worker for Work<'_> {
             if !std::io::stdin().is_terminal() {
                 write_stderr("\n");
             }
-            match String::from_utf8_lossy(&line)
-                .trim()
-                .to_lowercase()
-                .as_str()
-            {
+            let line = String::from_utf8_lossy(&line);
+            let (word, rest) = line.trim().split_once(' ').unwrap_or((line.trim(), ""));
+            let reason = Some(rest.trim().to_owned()).filter(|reason| !reason.is_empty());
+            match word.to_lowercase().as_str() {
+                "s" => return Ok(Answer::LeaveOut(reason)),
+                _ if reason.is_some() => write_stderr("that is none of the answers\n"),
                 "" => return Ok(Answer::Go),
                 "r" if repeats => return Ok(Answer::Repeat),
-                "s" => return Ok(Answer::LeaveOut),
+                "b" if is_end => return Ok(Answer::TakeBack),
                 "q" => return Ok(Answer::Quit),
                 _ => write_stderr("that is none of the answers\n"),
             }
@@ -324,6 +335,7 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
                 "sample": sample.name,
                 "sessions": runs.collect::<Vec<_>>(),
                 "left_out": queue.left_out_of(sample),
+                "reason": queue.left_out(sample).and_then(|out| out.reason.as_deref()),
                 "unreadable": unreadable(queue, sample).collect::<Vec<_>>(),
                 "left": queue.left_of(sample),
             })
@@ -354,11 +366,17 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
             (queue.left_of(sample), "to do"),
         ];
         for (count, state) in others {
-            let state = match count {
+            let mut state = match count {
                 0 => continue,
                 1 => state.to_owned(),
                 count => format!("{count} {state}"),
             };
+            let out = queue
+                .left_out(sample)
+                .filter(|_| state.ends_with("left out"));
+            if let Some(reason) = out.and_then(|out| out.reason.as_ref()) {
+                state += &format!(": {}", escaped(reason));
+            }
             table.row([name(), String::new(), state, String::new()]);
         }
     }

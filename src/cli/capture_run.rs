@@ -7,7 +7,7 @@ use std::time::Instant;
 use super::capture_progress::Bar;
 use super::context::Context;
 use super::error::CliError;
-use super::{interrupt, open};
+use super::{interrupt, open, operator};
 use crate::capture::event_lines::EventLines;
 use crate::capture::open::{OpenOptions, open_devices};
 use crate::capture::prepare::{self, Job};
@@ -32,7 +32,7 @@ pub(super) fn resume(
     }
     let options = OpenOptions {
         begun: interrupted.begun().to_vec(),
-        ..open::options(interrupted.rig())?
+        ..open::options_for(interrupted.rig(), || operator::of_capture(lines))?
     };
     let devices = open_devices(interrupted.rig(), &options)?;
     Ok(interrupted.go_on(devices)?)

@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTSTP};
-use signal_hook::iterator::Signals;
 
 use super::console_address::show_address;
 use super::context::Context;
@@ -29,6 +28,8 @@ use crate::console::frames;
 use crate::console::hub::Hub;
 use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
+use crate::console::queue;
+use crate::console::rigs::{self, Rigs};
 use crate::console::server::{ListenOptions, Parts, Running, Server, is_host_name};
 use crate::fault::Fault;
 use crate::interrupt::Signal;
@@ -112,6 +113,8 @@ const CONTINUE: Duration = Duration::from_millis(250);
 /// A job has so long to end after a second signal; then it is killed, and the guardian turns
 /// the lamp off.
 const KILL_AFTER: Duration = Duration::from_millis(2500);
+/// The answers of a console that another one follows have so long.
+const LAST_ANSWERS: Duration = Duration::from_millis(200);
 /// A job that was killed is not waited for any longer.
 const GIVE_UP_AFTER: Duration = Duration::from_millis(4500);
 
@@ -123,8 +126,7 @@ pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
         rig,
         folder: args.out.clone(),
     };
-    let (console, signals) = Console::start(&subject, &args.listen, context)?;
-    console.stay(None, signals, context)
+    serve(subject, &args.listen, None, context)
 }
 
 /// The console around a capture, as `rig capture --console` is: `arguments` are those of the
@@ -137,7 +139,6 @@ pub fn run_with_capture(
     context: &Context,
 ) -> Result<(), CliError> {
     let subject = Subject::of_capture(&arguments, context)?;
-    let (console, signals) = Console::start(&subject, listen, context)?;
     let events = OsString::from("--events");
     let work = Work {
         hidden: vec![events.clone()],
@@ -147,7 +148,7 @@ pub fn run_with_capture(
             arguments.into_iter().filter(|a| *a != events).collect(),
         )
     };
-    console.stay(Some(work), signals, context)
+    serve(subject, listen, Some(work), context)
 }
 
 /// What a console is about.
@@ -220,10 +221,75 @@ fn name_of(asked: &RigArg, resolved: &ResolvedRig) -> String {
 enum Woken {
     Signal(i32),
     JobEnded,
+    /// A page has chosen another bench, or the same one as its file is now.
+    Chosen(Box<ResolvedRig>, String),
 }
 
-/// How the capture ended that the console is around, if it is, and the last signal.
-type Ended = (Option<Option<ExitStatus>>, Option<Signal>);
+/// What comes after a console.
+enum Then {
+    /// The end, with the last signal.
+    End(Option<Signal>),
+    /// A console of this bench at the same address.
+    Bench(Box<ResolvedRig>, String),
+}
+
+/// Serves one console after another, as pages choose their benches, until a signal ends the last;
+/// runs `work` first, if any.
+fn serve(
+    mut subject: Subject,
+    listen: &ListenArgs,
+    mut work: Option<Work>,
+    context: &Context,
+) -> Result<(), CliError> {
+    let server = bind(&listen.options()?, context)?;
+    // Signals, the ends of jobs and the choices of pages wake this thread.
+    let (wake, woken) = mpsc::channel();
+    listen_for_signals(wake.clone())?;
+    let is_capture = work.is_some();
+    let (mut captured, mut is_first) = (None, true);
+    loop {
+        let console = Console::start(&subject, server.again()?, &wake)?;
+        if is_first {
+            show_address(&server.address(), context)?;
+        }
+        let then = console.run(work.take(), is_first, &mut captured, &wake, &woken, context);
+        is_first = false;
+        if let Ok(Then::Bench(rig, named)) = then {
+            console.close(|| false, context);
+            // The page that chose gets its answer.
+            std::thread::sleep(LAST_ANSWERS);
+            (subject.rig, subject.named) = (*rig, named);
+            continue;
+        }
+        console.close(|| is_urgent(&woken), context);
+        return match then? {
+            _ if is_capture && captured.is_some() => as_it_ended(captured.flatten()),
+            Then::End(Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
+            _ => Ok(()),
+        };
+    }
+}
+
+/// Sends each signal to the main thread.
+fn listen_for_signals(wake: Sender<Woken>) -> std::io::Result<()> {
+    let mut signals = interrupt::signals()?;
+    std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || {
+            for number in signals.forever() {
+                if wake.send(Woken::Signal(number)).is_err() {
+                    return;
+                }
+            }
+        })?;
+    Ok(())
+}
+
+/// Whether another signal to end has come.
+fn is_urgent(woken: &Receiver<Woken>) -> bool {
+    let mut signals = woken.try_iter();
+    signals.any(|woken| matches!(woken, Woken::Signal(number) if number != SIGTSTP))
+}
 
 /// A console that answers.
 struct Console {
@@ -233,16 +299,9 @@ struct Console {
 }
 
 impl Console {
-    /// Listens, answers, and shows the address. Also returns the signals, which are caught before
-    /// the address is shown.
-    fn start(
-        subject: &Subject,
-        listen: &ListenArgs,
-        context: &Context,
-    ) -> Result<(Self, Signals), CliError> {
+    /// Answers at this server's address; pages choose another bench by `wake`.
+    fn start(subject: &Subject, server: Server, wake: &Sender<Woken>) -> Result<Self, CliError> {
         let Subject { rig, named, folder } = subject;
-        let options = listen.options()?;
-        let server = bind(&options, context)?;
 
         // The console's parts.
         let hub = Hub::default();
@@ -271,6 +330,13 @@ impl Console {
             borrowers.is_capturing() && borrowers.stop().is_some()
         }));
 
+        let wake = wake.clone();
+        let choose = Arc::new(move |named, rig| {
+            // The main thread may be ending.
+            let _ = wake.send(Woken::Chosen(Box::new(rig), named));
+        });
+        let rigs = Rigs::new(Path::new("."), named, rig, jobs.clone(), choose);
+
         // The server.
         let routes = jobs::routes(jobs.clone())
             .merge(bench::routes(bench.clone()))
@@ -280,75 +346,55 @@ impl Console {
                 bench_ports::advisor(),
             ))
             .merge(catalogue::routes(pages))
-            .merge(catalogue::action_routes(jobs.clone()));
-        let address = server.address();
+            .merge(catalogue::action_routes(jobs.clone()))
+            .merge(queue::routes(jobs.clone()))
+            .merge(rigs::routes(rigs));
         let running = server.start(Parts {
             hub,
             control,
             facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
             routes,
         })?;
-        let signals = interrupt::signals()?;
-        show_address(&address, context)?;
-        let console = Self {
+        Ok(Self {
             jobs,
             bench,
             _server: running,
-        };
-        Ok((console, signals))
+        })
     }
 
-    /// Runs `work`, if any, and stays until a signal ends the console.
-    fn stay(self, work: Option<Work>, signals: Signals, context: &Context) -> Result<(), CliError> {
-        // Signals and the ends of jobs wake this thread.
-        let (wake, woken) = mpsc::channel();
-        let ended = self.run(work, signals, &wake, &woken, context);
-        self.close(&woken, context);
-        match ended? {
-            (Some(status), _) => as_it_ended(status),
-            (None, Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
-            (None, None) => Ok(()),
-        }
-    }
-
+    /// Starts `work`, if any, and stays until a signal ends the console or a page has chosen
+    /// another bench.
     fn run(
         &self,
         work: Option<Work>,
-        mut signals: Signals,
+        is_first: bool,
+        captured: &mut Option<Option<ExitStatus>>,
         wake: &Sender<Woken>,
         woken: &Receiver<Woken>,
         context: &Context,
-    ) -> Result<Ended, CliError> {
-        let caught = wake.clone();
-        std::thread::Builder::new()
-            .name("signals".into())
-            .spawn(move || {
-                for number in signals.forever() {
-                    if caught.send(Woken::Signal(number)).is_err() {
-                        return;
-                    }
-                }
-            })?;
+    ) -> Result<Then, CliError> {
+        // Only the first console is around a capture.
         let is_capture = work.is_some();
         if let Some(work) = work {
             self.jobs.start(work)?;
             self.wait_for_job(wake)?;
-        } else {
+        } else if is_first {
             context.note("Ctrl-C ends the console");
         }
-        self.until_ended(is_capture, wake, woken, context)
+        self.until_ended(is_capture, captured, wake, woken, context)
     }
 
     /// Returns when a signal has ended the console and the job has ended.
     fn until_ended(
         &self,
         is_capture: bool,
+        captured: &mut Option<Option<ExitStatus>>,
         wake: &Sender<Woken>,
         woken: &Receiver<Woken>,
         context: &Context,
-    ) -> Result<Ended, CliError> {
+    ) -> Result<Then, CliError> {
         let had_terminal = terminal().is_some();
-        let (mut captured, mut ending) = (None, None::<Signal>);
+        let mut ending = None::<Signal>;
         // A second signal.
         let mut urgent_since = None::<Instant>;
         loop {
@@ -360,7 +406,7 @@ impl Console {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(Woken::JobEnded) => {
                     if is_capture && captured.is_none() {
-                        captured = Some(self.captured());
+                        *captured = Some(self.captured());
                         if ending.is_none() {
                             context.note("the console stays; Ctrl-C ends it");
                         }
@@ -369,6 +415,9 @@ impl Console {
                         break;
                     }
                 }
+                // A job may have begun since the page was answered: the bench is its own.
+                Ok(Woken::Chosen(..)) if ending.is_some() || self.jobs.running().is_some() => {}
+                Ok(Woken::Chosen(rig, named)) => return Ok(Then::Bench(rig, named)),
                 Ok(Woken::Signal(SIGTSTP)) => {
                     // The lamp must not stay on while nobody watches over it.
                     drop(
@@ -388,7 +437,7 @@ impl Console {
                     let Some(kind) = self.jobs.running() else {
                         // Its end may not have woken this thread yet.
                         if is_capture && captured.is_none() {
-                            captured = Some(self.captured());
+                            *captured = Some(self.captured());
                         }
                         break;
                     };
@@ -411,7 +460,7 @@ impl Console {
                 _ => {}
             }
         }
-        Ok((captured, ending))
+        Ok(Then::End(ending))
     }
 
     /// How the capture ended; its session goes to stdout.
@@ -425,13 +474,7 @@ impl Console {
     }
 
     /// Lamp off, devices closed; another signal hurries it.
-    fn close(&self, woken: &Receiver<Woken>, context: &Context) {
-        let is_urgent = || {
-            let signals = woken.try_iter();
-            signals
-                .into_iter()
-                .any(|woken| matches!(woken, Woken::Signal(number) if number != SIGTSTP))
-        };
+    fn close(&self, is_urgent: impl Fn() -> bool, context: &Context) {
         let before = self.bench.state().error;
         let is_closed = self.bench.end(CLOSING, is_urgent);
         let error = self.bench.state().error;

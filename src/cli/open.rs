@@ -1,12 +1,16 @@
 //! How the devices of a rig are opened from the command line.
 
+use std::sync::Arc;
+
 use super::error::{CliError, HintExt};
+use super::operator;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::capture::open::{OpenError, OpenOptions, PortDriver, Stopped};
 use crate::config::RigConfig;
 use crate::config::stage::StageDriver;
 use crate::device::DeviceError;
+use crate::device::manual::Operator;
 
 /// This program as the keeper of another one that it runs.
 #[cfg(feature = "reports")]
@@ -18,9 +22,17 @@ pub fn keeper() -> Result<std::process::Command, CliError> {
 
 /// This program as guardian and keeper, the terminal as operator of a manual stage.
 pub fn options(rig: &RigConfig) -> Result<OpenOptions, CliError> {
+    options_for(rig, || operator::of_capture(None))
+}
+
+/// Likewise with this operator.
+pub fn options_for(
+    rig: &RigConfig,
+    operator: impl FnOnce() -> Result<Arc<dyn Operator>, CliError>,
+) -> Result<OpenOptions, CliError> {
     let mut options = of_port()?;
     if matches!(rig.stage.driver, StageDriver::Manual(_)) {
-        options.operator = Some(std::sync::Arc::new(super::operator::Terminal::new()?));
+        options.operator = Some(operator()?);
     }
     Ok(options)
 }

@@ -6,6 +6,7 @@ use super::output::{check_ending, check_writable, write_json, write_path};
 use super::{CliError, Context, preflight};
 use crate::progress::Progress;
 use crate::rendering::{RenderError, RenderRequest, Rendering};
+use crate::shown::nth;
 use crate::transport::{Remainder, RenderOptions};
 use crate::workflow::remark_on_facets;
 
@@ -106,10 +107,10 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     for (light, cut) in rendered.truncation.iter().enumerate() {
         if cut.share > TRUNCATION_REMARK {
             context.note(format!(
-                "light {light}: paths of more than {} reflections, not followed, would add {:.2}% ± {:.2}% of the light",
+                "{light}: paths of more than {} reflections, not followed, would add {:.2}% ± {:.2}% of the light",
                 args.max_reflections,
                 100.0 * cut.share,
-                100.0 * cut.standard_error
+                100.0 * cut.standard_error, light = nth("light", light)
             ));
         }
     }

@@ -13,6 +13,7 @@ use crate::session::layout;
 use crate::session::verify::{LightState, Summary, verify};
 use crate::session::{Session, SessionError};
 use crate::shown::excerpt;
+use crate::shown::nth;
 
 /// Checks sessions and lists what they hold.
 #[derive(clap::Args, Debug)]
@@ -177,7 +178,10 @@ fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
     } in lights
     {
         let state = if finished { "finished" } else { "open" };
-        out!("  light {light}: {angles}: {frames} frames, {state}")?;
+        out!(
+            "  {light}: {angles}: {frames} frames, {state}",
+            light = nth("light", light)
+        )?;
     }
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! `rig validate`: does a fit predict images that it has not seen?
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use super::fit_progress::FitProgress;
@@ -26,14 +27,14 @@ pub struct ValidateArgs {
     /// Image (EXR), one per light of the scene, in its order
     #[arg(long, value_name = "EXR", num_args = 1..)]
     image: Vec<PathBuf>,
-    /// Lights that are fitted, from 0: 0,2,5; all others are predicted
+    /// Lights that are fitted, from 1: 1,3,6; all others are predicted
     #[arg(
         long,
         value_name = "LIGHTS",
         value_delimiter = ',',
         conflicts_with = "hold_out"
     )]
-    fit_lights: Option<Vec<usize>>,
+    fit_lights: Option<Vec<NonZeroUsize>>,
     /// Lights that are predicted, evenly spaced in their order (default: a quarter, one at least,
     /// so that the fit keeps most of its images)
     #[arg(long, value_name = "N")]
@@ -52,7 +53,7 @@ pub struct ValidateArgs {
 /// `rig validate`.
 pub fn run(args: &ValidateArgs, context: &Context) -> Result<(), CliError> {
     let hold_out = match (&args.fit_lights, args.hold_out) {
-        (Some(lights), _) => HoldOut::Fitted(lights.clone()),
+        (Some(lights), _) => HoldOut::Fitted(lights.iter().map(|light| light.get() - 1).collect()),
         (None, Some(count)) => HoldOut::Count(count),
         (None, None) => HoldOut::default(),
     };

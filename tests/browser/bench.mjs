@@ -125,7 +125,11 @@ async function serveFromSource(page, address) {
 export async function until(page, what, condition, ...given) {
   const end = Date.now() + PATIENCE_MS;
   for (;;) {
-    const value = await page.evaluate(condition, ...given);
+    const value = await page.evaluate(condition, ...given).catch((error) => {
+      // The page is loaded anew, as it is for another bench.
+      if (!/context was destroyed|Cannot find context/.test(error.message)) throw error;
+      return false;
+    });
     if (value) return value;
     if (Date.now() > end) throw new Error(`waited for: ${what}; the page shows: ${await page.evaluate(() => document.querySelector("main").innerText.slice(0, 1500))}`);
     await new Promise((resolve) => setTimeout(resolve, 50));

@@ -141,7 +141,7 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
     assert_eq!(state(&bowl), SessionState::Interrupted);
 
     // The same command resumes the bowl first, then leaves the jar out; its input ends.
-    let output = answered(folder, "\nx\ns\n");
+    let output = answered(folder, "\nx\ns scratched\n");
     assert_done(&output);
     let asked = text(&output.stderr);
     let [resumed, jar] = ["The capture of bowl was interrupted", "the sample jar"]
@@ -153,10 +153,21 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
         .map(|line| line.split_whitespace().collect())
         .collect();
     assert_eq!(rows.len(), 5, "{table}");
-    assert_eq!(rows[4], ["jar", "2", "left", "out"], "{table}");
-    let way_back =
-        "to capture what was left out after all, raise `repeats` in samples.toml (for jar: 4)";
+    assert_eq!(
+        rows[4],
+        ["jar", "2", "left", "out:", "scratched"],
+        "{table}"
+    );
+    let way_back = "give the same command and answer b at its end";
     assert!(asked.contains(way_back), "{asked}");
+    // It is brought back, and left out again.
+    let back = text(&answered(folder, "b\n").stdout);
+    assert!(
+        back.lines()
+            .any(|row| row.split_whitespace().eq(["jar", "2", "to", "do"])),
+        "{back}"
+    );
+    assert_done(&answered(folder, "s scratched\n"));
     assert_eq!(sessions(folder, "bowl"), std::slice::from_ref(&bowl));
     assert_eq!(sessions(folder, "cup").len(), 2);
     for root in sessions(folder, "cup").iter().chain([&bowl]) {

@@ -222,9 +222,9 @@ fn records_that_contradict_each_other_are_named() {
         (no_calibration, "which session.toml names, is in no record"),
         (
             other_light,
-            "a record of light 4294967295, and the plan has 1",
+            "a record of light 4294967296, and the plan has 1",
         ),
-        (other_frame, "a record of light 1, and the plan has 1"),
+        (other_frame, "a record of light 2, and the plan has 1"),
     ]
     .into_iter()
     .enumerate()

@@ -290,10 +290,10 @@ fn other_optimisers_and_a_refined_bench() {
     let bench = refined.bench.as_ref().unwrap();
     let names: Vec<&str> = bench.parameter.iter().map(|p| p.name.as_str()).collect();
     for name in [
-        "azimuth of light 0",
-        "elevation of light 1",
-        "intensity of light 1",
-        "stray light in image 0",
+        "azimuth of light 1",
+        "elevation of light 2",
+        "intensity of light 2",
+        "stray light in image 1",
     ] {
         assert!(names.contains(&name), "{name} in {names:?}");
     }
@@ -523,7 +523,7 @@ fn images_of_another_size_are_refused_by_their_headers() {
 fn a_light_that_was_not_fitted_is_predicted() {
     let home = photographed();
     let validate = "validate --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --json";
-    let done = rig(home.path(), &format!("{validate} --fit-lights 1 --out v"));
+    let done = rig(home.path(), &format!("{validate} --fit-lights 2 --out v"));
     assert!(done.status.success(), "{done:?}");
     let found: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(found["fitted_lights"], serde_json::json!([1]));
@@ -539,7 +539,7 @@ fn a_light_that_was_not_fitted_is_predicted() {
     assert_eq!(serde_json::to_value(kept).unwrap(), found);
     let picture = image::open(home.path().join("v/light_L000.png")).unwrap();
     assert!(picture.width() > picture.height(), "{picture:?}");
-    let again = rig(home.path(), &format!("{validate} --fit-lights 1 --out v"));
+    let again = rig(home.path(), &format!("{validate} --fit-lights 2 --out v"));
     assert_eq!(again.status.code(), Some(1));
 
     // The images of a wrong order are remarked on, as before a fit.

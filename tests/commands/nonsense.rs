@@ -297,13 +297,13 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             "light at the horizon",
             with("[0.5, 0.2, 0.85]", "[1.0, 0.0, 0.0]"),
             good.to_vec(),
-            "light 1 reaches 0.0%",
+            "light 2 reaches 0.0%",
         ),
         (
             "no irradiance",
             with("irradiance = 3.14", "irradiance = 0.0"),
             good.to_vec(),
-            "irradiance of light 0",
+            "irradiance of light 1",
         ),
         (
             "no blue irradiance",

@@ -30,7 +30,7 @@ fn a_dry_run_prints_the_plan_and_touches_nothing() {
     let folder = workplace(|text| text);
     let output = run(&folder, &["capture", "--lights", "4", "--dry-run"]);
     assert_eq!(output.status.code(), Some(0));
-    assert!(text(&output.stdout).contains("light 0: azimuth 0.000°, elevation 45.000°"));
+    assert!(text(&output.stdout).contains("light 1: azimuth 0.000°, elevation 45.000°"));
     let output = run(
         &folder,
         &["capture", "--lights", "4", "--dry-run", "--json"],
@@ -384,7 +384,7 @@ fn a_light_that_the_camera_blocks_is_refused() {
         let output = run(&folder, &words);
         assert_refused(&output, fact);
         let said = text(&output.stderr);
-        assert!(said.contains("light 1 (azimuth"), "{name}: {said}");
+        assert!(said.contains("light 2 (azimuth"), "{name}: {said}");
         let free = free.trim_end_matches('°');
         assert!(
             said.contains(free) && said.contains("--lights N"),

@@ -281,6 +281,11 @@ pub fn paths_and_methods() -> Vec<Row> {
             "/api/compare?fits=..%2Felsewhere:0/real:0",
         ),
         ("a file that is not served", "/page/index.html"),
+        (
+            "the text of a rig file elsewhere",
+            "/api/rigs/text?rig=..%2Farm.toml",
+        ),
+        ("the text of no rig file", "/api/rigs/text?rig=secret.txt"),
     ]
     .into_iter()
     .map(|(name, path)| get(name, &format!("/{{T}}{path}"), HEAD, gone))
@@ -529,6 +534,48 @@ pub fn bodies() -> Vec<Row> {
         post("no body", plan, "", &[400]),
         post("two values", plan, "{}{}", &[400]),
         raw("no UTF-8", utf8, &[400]),
+        post(
+            "a bench elsewhere",
+            "/api/rigs/use",
+            r#"{"rig": "/etc/x.toml"}"#,
+            &[404],
+        ),
+        post(
+            "a bench that is an option",
+            "/api/rigs/use",
+            r#"{"rig": "--help"}"#,
+            &[404],
+        ),
+        post(
+            "a rig file elsewhere is saved",
+            "/api/rigs/save",
+            r#"{"rig": "../x.toml", "text": "", "sum": ""}"#,
+            &[404],
+        ),
+        post(
+            "a sample of the queue that is a path",
+            "/api/queue/add",
+            r#"{"text": "../../pwned"}"#,
+            &[422],
+        ),
+        post(
+            "a queue of lights for a shell",
+            "/api/queue/next",
+            r#"{"lights": "1; touch pwned"}"#,
+            &[422],
+        ),
+        post(
+            "the next of no queue",
+            "/api/queue/next",
+            r#"{"lights": "1"}"#,
+            &[409],
+        ),
+        post(
+            "an answer that nobody asked for",
+            "/api/capture/answer",
+            r#"{"number": 1, "done": true}"#,
+            &[409],
+        ),
         post("pause without capture", "/api/capture/pause", "{}", &[409]),
         post("an action that is none", "/api/../api/plan", "{}", &[404]),
     ]

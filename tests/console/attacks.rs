@@ -270,6 +270,65 @@ fn no_page_names_a_program() {
     );
 }
 
+/// A bench of the folder is edited, within bounds, and chosen without a new console.
+#[test]
+fn a_page_edits_and_chooses_benches_of_its_folder_alone() {
+    let folder = workplace();
+    let file = folder.path().join("arm.toml");
+    let text = include_str!("../../rig-configs/simulated.toml");
+    let text = text.replacen("name = \"simulated\"", "name = \"arm\"", 1);
+    fs::write(&file, &text).unwrap();
+    fs::write(folder.path().join("scene.toml"), "[camera]\n").unwrap();
+    let console = start(folder.path());
+    let rigs = console.get("/api/rigs").json();
+    let names: Vec<_> = (rigs["rigs"].as_array().unwrap().iter())
+        .map(|rig| rig["rig"].as_str().unwrap().to_owned())
+        .collect();
+    assert_eq!(names, ["simulated", "arm.toml"]);
+
+    // What may not be saved, and what may.
+    let opened = console.get("/api/rigs/text?rig=arm.toml").json();
+    let save = |text: &str, sum: &serde_json::Value| {
+        let form = json!({"rig": "arm.toml", "text": text, "sum": sum});
+        console.post("a", "/api/rigs/save", &form)
+    };
+    let elsewhere = "[calibration]\nfolder = \"../..\"\n";
+    for (bad, said) in [
+        (
+            text.replacen("bit_depth = 12", "bit_depth = 99", 1),
+            "bit_depth",
+        ),
+        (
+            text.replacen("[calibration]\n", elsewhere, 1),
+            "calibration.folder",
+        ),
+    ] {
+        let refused = save(&bad, &opened["sum"]);
+        assert_eq!(refused.status, 422, "{refused:?}");
+        assert!(refused.text().contains(said), "{refused:?}");
+    }
+    assert_eq!(save(&text, &json!("old")).status, 409);
+    assert_eq!(fs::read_to_string(&file).unwrap(), text);
+    let edited = text.replacen("bit_depth = 12", "bit_depth = 10", 1);
+    assert_eq!(save(&edited, &opened["sum"]).status, 200);
+    assert_eq!(fs::read_to_string(&file).unwrap(), edited);
+    let before = folder.path().join("arm.toml.before");
+    assert_eq!(fs::read_to_string(before).unwrap(), text);
+
+    // The console goes on at its address with the other bench.
+    let named =
+        |name: &'static str| move |console: &serde_json::Value| console["rig"]["name"] == name;
+    console.events("v").wait_for("console", named("simulated"));
+    let chosen = console.post("a", "/api/rigs/use", &json!({"rig": "arm.toml"}));
+    assert_eq!(chosen.status, 202, "{chosen:?}");
+    let began = Instant::now();
+    while console.get("/api/rigs").json()["rigs"][1]["in_use"] != true {
+        assert!(began.elapsed() < Duration::from_secs(30));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    console.events("v").wait_for("console", named("arm"));
+}
+
 /// A rig file of the page's names no file elsewhere on the machine, and replaces no other one.
 #[test]
 fn a_page_sets_up_a_bench_below_its_folder_alone() {

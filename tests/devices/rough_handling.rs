@@ -329,7 +329,7 @@ fn one_writer_at_a_time_and_asked_twice_it_stops_in_mid_motion() {
     let session = Session::open(&root).unwrap();
     assert_eq!(session.state(), SessionState::Interrupted);
     assert!(verify::verify(&root).unwrap().is_intact());
-    assert_fails(&run(path, &["fit", name]), 1, "light 0 of", "--resume");
+    assert_fails(&run(path, &["fit", name]), 1, "light 1 of", "--resume");
     let report = run(path, &["report", name]);
     assert_done(&report);
     assert!(text(&report.stderr).contains("rig fit"));

@@ -77,7 +77,7 @@ fn the_first_light_is_visited_again() {
         let told = heard
             .warnings
             .iter()
-            .filter(|w| w.contains("since light 0"));
+            .filter(|w| w.contains("since light 1"));
         let drift = session.lamp_drift().unwrap();
         (
             drift,

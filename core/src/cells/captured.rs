@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::{CellOptions, Grid, choose};
 use crate::radiance_image::RadianceImage;
+use crate::shown::nth;
 use crate::transport::Scene;
 use crate::transport::cells::{Cell, Cells};
 use crate::transport::event::MAX_LIGHTS;
@@ -43,7 +44,7 @@ pub enum AverageError {
     #[error("{lights} lights; at most {MAX_LIGHTS} can be fitted together")]
     TooManyLights { lights: usize },
     #[error(
-        "image {image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1]
+        "{image} is {width} × {height}; the scene's camera has {} × {}", expected[0], expected[1], image = nth("image", *image)
     )]
     ImageSize {
         image: usize,
@@ -54,7 +55,7 @@ pub enum AverageError {
     },
     #[error("no part of the sample is seen away from its edges")]
     NothingSeen,
-    #[error("no cell of image {image} has enough valid pixels on the sample")]
+    #[error("no cell of {image} has enough valid pixels on the sample", image = nth("image", *image))]
     NothingValid {
         /// Index of the image with the fewest valid pixels.
         image: usize,

@@ -9,6 +9,7 @@ use glam::DVec2;
 use nalgebra::{Matrix2, Vector2};
 
 use super::objective::{ModelImage, Objective};
+use crate::shown::nth;
 use crate::transport::Cells;
 
 /// How an image would have to be turned over to look like the model's.
@@ -417,7 +418,8 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Opt
     };
     let [at_most, beyond_model_error] = [of_image, of_residual].map(median);
     log::debug!(
-        "scatter of neighbouring cells, image {image}: at most {at_most}, beyond the model's error {beyond_model_error}"
+        "scatter of neighbouring cells, {image}: at most {at_most}, beyond the model's error {beyond_model_error}",
+        image = nth("image", image)
     );
     // Noise below the model's error harms nothing, whatever is stated.
     let ratio = if beyond_model_error > NOTABLE_SCATTER {

@@ -7,6 +7,7 @@ use crate::brdf::Dictionary;
 use crate::brdf::projection::ProjectionError;
 use crate::cells::AverageError;
 use crate::geometry::FormError;
+use crate::shown::nth;
 use crate::simplex::SimplexError;
 use crate::transport::cache::CacheError;
 use crate::transport::{CacheOptions, Kernel};
@@ -98,7 +99,7 @@ pub enum FitError {
     #[error(transparent)]
     Average(#[from] AverageError),
     /// Nothing to compare.
-    #[error("no cell of image {image} lies away from the edges of its light's shadow")]
+    #[error("no cell of {image} lies away from the edges of its light's shadow", image = nth("image", *image))]
     NothingToCompare {
         /// Index of the image.
         image: usize,

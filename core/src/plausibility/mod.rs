@@ -12,15 +12,16 @@ use brightest::brightest;
 use crate::brdf::{Atom, Dictionary};
 use crate::cells::{Captured, CellImage};
 use crate::radiance_image::CHANNEL_NAMES;
+use crate::shown::nth;
 use crate::transport::{Cells, DirectMatrix, Scene};
 
-/// Why images cannot be fitted. Lights and images count from 0.
+/// Why images cannot be fitted. Lights and images count from 0; texts count them from 1.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Implausible {
     /// A light that gives none, of which no image can be explained.
     #[error(
-        "the {} irradiance of light {light} is {value}, allowed is a finite number above 0",
-        CHANNEL_NAMES[*channel]
+        "the {} irradiance of {light} is {value}, allowed is a finite number above 0",
+        CHANNEL_NAMES[*channel], light = nth("light", *light)
     )]
     Irradiance {
         /// Index of the light.
@@ -32,8 +33,8 @@ pub enum Implausible {
     },
     /// A light behind the sample, or at its horizon.
     #[error(
-        "light {light} brings {:.3}% of its irradiance to the surface that the camera sees and lights {lit} cells of its image above noise, 1% or {MIN_LIT_CELLS} cells are needed: it lies behind the sample or at its horizon",
-        100.0 * mean_cosine
+        "{light} brings {:.3}% of its irradiance to the surface that the camera sees and lights {lit} cells of its image above noise, 1% or {MIN_LIT_CELLS} cells are needed: it lies behind the sample or at its horizon",
+        100.0 * mean_cosine, light = nth("light", *light)
     )]
     NotLit {
         /// Index of the light.
@@ -45,7 +46,7 @@ pub enum Implausible {
     },
     /// Nothing but noise, or nothing at all.
     #[error(
-        "image {image} shows no light: its mean radiance on the sample is {mean:.2e} ± {std_dev:.2e}, that of a white sample would be {white:.2e}"
+        "{image} shows no light: its mean radiance on the sample is {mean:.2e} ± {std_dev:.2e}, that of a white sample would be {white:.2e}", image = nth("image", *image)
     )]
     NoLight {
         /// Index of the image.
@@ -59,9 +60,9 @@ pub enum Implausible {
     },
     /// Far beyond what any material reflects, at any angle.
     #[error(
-        "{}image {image} is {} times as bright as the brightest material under the stated irradiance",
+        "{}{image} is {} times as bright as the brightest material under the stated irradiance",
         channel.map_or(String::new(), |channel| format!("in the {} channel, ", CHANNEL_NAMES[channel])),
-        factor(*ratio)
+        factor(*ratio), image = nth("image", *image)
     )]
     TooBright {
         /// Index of the image.
@@ -73,8 +74,8 @@ pub enum Implausible {
     },
     /// Less than no light.
     #[error(
-        "image {image} is negative on {:.0}% of the sample by more than 5 standard deviations",
-        100.0 * share
+        "{image} is negative on {:.0}% of the sample by more than 5 standard deviations",
+        100.0 * share, image = nth("image", *image)
     )]
     Negative {
         /// Index of the image.
@@ -84,8 +85,8 @@ pub enum Implausible {
     },
     /// The same value everywhere, where shading must vary.
     #[error(
-        "image {image} has the same radiance in every pixel of the sample ({mean:.2e}), where a white sample's would vary by {:.0}%",
-        100.0 * expected
+        "{image} has the same radiance in every pixel of the sample ({mean:.2e}), where a white sample's would vary by {:.0}%",
+        100.0 * expected, image = nth("image", *image)
     )]
     Constant {
         /// Index of the image.
@@ -96,7 +97,7 @@ pub enum Implausible {
         expected: f64,
     },
     /// All light in one pixel.
-    #[error("{:.0}% of the light of image {image} is in one pixel, x {x}, y {y}", 100.0 * share)]
+    #[error("{:.0}% of the light of {image} is in one pixel, x {x}, y {y}", 100.0 * share, image = nth("image", *image))]
     OnePixel {
         /// Index of the image.
         image: usize,
@@ -109,8 +110,8 @@ pub enum Implausible {
     },
     /// A capture without noise.
     #[error(
-        "the variance of image {image} is 0 where its radiance is not, in {:.0}% of the sample's values",
-        100.0 * share
+        "the variance of {image} is 0 where its radiance is not, in {:.0}% of the sample's values",
+        100.0 * share, image = nth("image", *image)
     )]
     NoVariance {
         /// Index of the image.
@@ -119,7 +120,7 @@ pub enum Implausible {
         share: f64,
     },
     /// One image for two lights.
-    #[error("images {first} and {second} are equal in every pixel, though their lights differ")]
+    #[error("images {} and {} are equal in every pixel, though their lights differ", first + 1, second + 1)]
     Repeated {
         /// Index of an image.
         first: usize,

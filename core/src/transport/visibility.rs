@@ -6,6 +6,7 @@ use glam::{DVec2, DVec3};
 
 use super::camera::{Camera, Projection};
 use super::scene::Scene;
+use crate::shown::nth;
 
 /// Sides of the grid of rays through the image, and points spread over the surface.
 const GRID: usize = 96;
@@ -107,8 +108,8 @@ pub enum Concern {
     },
     /// A light reaches nothing that the camera sees.
     #[error(
-        "light {light} reaches {:.1}% of what the camera sees of the sample: {:.0}% is turned away from it, {:.0}% lies in shadow",
-        100.0 * .reach.lit, 100.0 * .reach.turned_away, 100.0 * .reach.shadowed
+        "{light} reaches {:.1}% of what the camera sees of the sample: {:.0}% is turned away from it, {:.0}% lies in shadow",
+        100.0 * .reach.lit, 100.0 * .reach.turned_away, 100.0 * .reach.shadowed, light = nth("light", *light)
     )]
     Unlit {
         /// The light, from 0.

@@ -1,5 +1,6 @@
 //! `rig calibrate focus`: how sharp the camera is over the sample's depth.
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use super::target::{self, CommonArgs, noted};
@@ -29,9 +30,9 @@ pub(super) struct FocusArgs {
     /// once for each height
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     region: Vec<Region>,
-    /// Which light's image of a session is used
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    light: usize,
+    /// Which light's image of a session is used, from 1
+    #[arg(long, value_name = "N", default_value = "1")]
+    light: NonZeroUsize,
 }
 
 pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
@@ -39,7 +40,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     let request = EdgesRequest {
         rig: &rig.config,
         input: &args.input,
-        light: args.light,
+        light: args.light.get() - 1,
         regions: &args.region,
         heights_mm: &args.heights,
         height_std_mm: args.height_std,

@@ -1,5 +1,6 @@
 //! `rig calibrate glare`: the light that the lens scatters, from black traps on a white card.
 
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use super::light::Terminal;
@@ -31,9 +32,9 @@ pub(super) struct GlareArgs {
     /// Standard uncertainty of that
     #[arg(long, value_name = "U", default_value_t = GlareRequest::TRAP_REFLECTANCE_STD, value_parser = within(0.0, 0.1))]
     trap_reflectance_std: f64,
-    /// Which light's image of a session is used
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    light: usize,
+    /// Which light's image of a session is used, from 1
+    #[arg(long, value_name = "N", default_value = "1")]
+    light: NonZeroUsize,
     /// Frames of the card and dark frames, each (1 to 65536)
     #[arg(long, value_name = "N", default_value_t = ProcedureOptions::FLAT_FRAMES, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     frames: u32,
@@ -51,7 +52,7 @@ pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {
     };
     let measured = match &args.input {
         Some(path) => {
-            let image = image_of(path, args.light, &rig.config.name).map_err(advised)?;
+            let image = image_of(path, args.light.get() - 1, &rig.config.name).map_err(advised)?;
             let source = path.display().to_string();
             place = place.measured_from(source, rig.config.camera.resolution_px);
             request.measure_image(&image)?

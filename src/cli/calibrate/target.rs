@@ -87,8 +87,7 @@ pub(super) fn advised(error: CalibratingError) -> CliError {
             CliError::from(error).hint(hint)
         }
         CalibratingError::NoLight { lights, .. } => {
-            let last = lights.saturating_sub(1);
-            CliError::from(error).hint(format!("--light counts from 0 to {last}"))
+            CliError::from(error).hint(format!("--light counts from 1 to {lights}"))
         }
         CalibratingError::NoAngles => {
             CliError::from(error).hint("capture the sphere with `rig capture` and name the session")

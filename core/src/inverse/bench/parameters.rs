@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::bench_priors::BenchPriors;
 use crate::cells::Captured;
 use crate::frames::{Rigid, Sample};
+use crate::shown::nth;
 use crate::transport::{Light, Scene};
 
 /// An axis of the sample's frame.
@@ -52,12 +53,20 @@ pub enum Parameter {
 impl std::fmt::Display for Parameter {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Parameter::LightAzimuth(light) => write!(out, "azimuth of light {light}"),
-            Parameter::LightElevation(light) => write!(out, "elevation of light {light}"),
-            Parameter::Intensity(light) => write!(out, "intensity of light {light}"),
+            Parameter::LightAzimuth(light) => {
+                write!(out, "azimuth of {light}", light = nth("light", *light))
+            }
+            Parameter::LightElevation(light) => {
+                write!(out, "elevation of {light}", light = nth("light", *light))
+            }
+            Parameter::Intensity(light) => {
+                write!(out, "intensity of {light}", light = nth("light", *light))
+            }
             Parameter::Rotation(axis) => write!(out, "rotation about {}", axis.name()),
             Parameter::Translation(axis) => write!(out, "translation along {}", axis.name()),
-            Parameter::StrayLight(light) => write!(out, "stray light in image {light}"),
+            Parameter::StrayLight(light) => {
+                write!(out, "stray light in {light}", light = nth("image", *light))
+            }
         }
     }
 }

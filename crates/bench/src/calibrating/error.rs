@@ -18,6 +18,7 @@ use crate::calibration::slanted_edge::EdgeError;
 use crate::calibration::white::{Region, WhiteError};
 use crate::capture::open::OpenError;
 use crate::config::BuildError;
+use crate::shown::nth;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::bracket_files::BracketError;
 use crate::radiometry::response::ResponseError;
@@ -139,7 +140,7 @@ pub enum CalibratingError {
         rig: String,
     },
     /// A session without the light that is named, from 0.
-    #[error("{} has {lights} lights, not light {light}", session.display())]
+    #[error("{} has {lights} lights, not {}", session.display(), nth("light", *light))]
     NoLight {
         session: PathBuf,
         lights: usize,

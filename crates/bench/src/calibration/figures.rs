@@ -208,19 +208,19 @@ pub fn light_directions(
         let series = [0, 1].map(|axis| {
             let mut points = Vec::new();
             let mut bars = Vec::new();
-            for (light, (&angles, found)) in angles.iter().zip(found).enumerate() {
+            for (light, (&angles, found)) in (1_u32..).zip(angles.iter().zip(found)) {
                 let off = found.to_light - expected(angles);
                 let degrees = tangents(found.to_light)[axis].dot(off).to_degrees();
                 let std = found.covariance()[(axis, axis)].sqrt().to_degrees();
                 widest = widest.max(degrees.abs() + std);
-                points.push([light as f64, degrees]);
-                bars.push([light as f64, degrees - std, degrees + std]);
+                points.push([f64::from(light), degrees]);
+                bars.push([f64::from(light), degrees - std, degrees + std]);
             }
             Series::new(&series[axis], axis, Mark::Dots, points).within(bars)
         });
         Chart {
             title: title.to_owned(),
-            x: Axis::linear(-0.5..found.len() as f64 - 0.5, "light"),
+            x: Axis::linear(0.5..found.len() as f64 + 0.5, "light"),
             y: Axis::linear(-1.1 * widest..1.1 * widest, "measured less expected (deg)"),
             series: series.to_vec(),
         }

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix4};
 
 use super::mirror_sphere::light::{FoundLight, tangents};
 use crate::least_squares::{self, Equations, Options, Problem};
+use crate::shown::nth;
 use crate::units::StageAngles;
 
 /// Why measured directions do not determine a stage.
@@ -17,7 +18,7 @@ pub enum StageFitError {
     TooFew { found: usize, needed: usize },
     /// Another stage, mirrored axes, a wrong image order.
     #[error(
-        "light {light} at {angles} is {off_deg:.1} degrees away from where the rig file has it, and no common turn of the stage explains more than {explained_deg:.1} of it"
+        "{light} at {angles} is {off_deg:.1} degrees away from where the rig file has it, and no common turn of the stage explains more than {explained_deg:.1} of it", light = nth("light", *light)
     )]
     OtherStage {
         /// Which light, from 0.

@@ -3,6 +3,7 @@
 use crate::device::DeviceError;
 use crate::radiometry::exposure::PlanError;
 use crate::session::SessionError;
+use crate::shown::nth;
 use crate::transport::Obstruction;
 use crate::units::{StageAngles, size};
 
@@ -19,7 +20,7 @@ pub enum CaptureError {
     /// The exposure rules make no sense.
     #[error(transparent)]
     Exposure(#[from] PlanError),
-    #[error("light {light} ({angles}) is outside the stage's limits ({limits})")]
+    #[error("{light} ({angles}) is outside the stage's limits ({limits})", light = nth("light", *light))]
     LightOutOfReach {
         light: usize,
         angles: StageAngles,
@@ -27,7 +28,7 @@ pub enum CaptureError {
     },
     /// Something stands between a planned light and the sample, or between the sample and
     /// the camera.
-    #[error("light {light} ({angles}): {by}; {}", free_as_text(*free))]
+    #[error("{light} ({angles}): {by}; {}", free_as_text(*free), light = nth("light", *light))]
     LightBlocked {
         light: usize,
         angles: StageAngles,
@@ -86,8 +87,8 @@ pub enum CaptureError {
     },
     /// The lamp is no longer what it was when the light began.
     #[error(
-        "the lamp drifted by {change} during light {light} (lamp channel {channel}), more than {} %",
-        100.0 * super::exposure_check::REFUSED
+        "the lamp drifted by {change} during {light} (lamp channel {channel}), more than {} %",
+        100.0 * super::exposure_check::REFUSED, light = nth("light", *light)
     )]
     LampDrift {
         light: u32,
@@ -96,10 +97,10 @@ pub enum CaptureError {
         change: super::exposure_check::SignalRatio,
     },
     #[error(
-        "light {light}: since the stage was homed anew, the image at the same exposure differs by {:.1} % \
+        "{light}: since the stage was homed anew, the image at the same exposure differs by {:.1} % \
          (root mean square of its pixels, beyond noise), as if the lamp stood roughly {turned_deg:.2}° \
          from where it was; the stage's position_tolerance_deg of {tolerance_deg}° explains {:.1} %",
-        100.0 * pattern, 100.0 * explained
+        100.0 * pattern, 100.0 * explained, light = nth("light", *light)
     )]
     LightMoved {
         light: u32,
@@ -114,13 +115,13 @@ pub enum CaptureError {
     /// After a new homing the signal is not what the light's frames from before lead to
     /// expect, and those cannot show whether the light has moved.
     #[error(
-        "light {light}: since the stage was homed anew, the images show {ratio:.3} of the signal \
-         that the frames before lead to expect"
+        "{light}: since the stage was homed anew, the images show {ratio:.3} of the signal \
+         that the frames before lead to expect", light = nth("light", *light)
     )]
     NotAsBefore { light: u32, ratio: f64 },
     /// The sensor or the lamp has become too hot.
     #[error(
-        "light {light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C"
+        "{light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C", light = nth("light", *light)
     )]
     TooHot {
         light: u32,
@@ -135,8 +136,8 @@ pub enum CaptureError {
         expected: String,
     },
     #[error(
-        "light {light}: the exposure is {exposure_s} s by the camera, but the images show \
-         {ratio:.3} of the expected signal after {discarded} discarded frames"
+        "{light}: the exposure is {exposure_s} s by the camera, but the images show \
+         {ratio:.3} of the expected signal after {discarded} discarded frames", light = nth("light", *light)
     )]
     ExposureNotApplied {
         light: u32,
@@ -146,15 +147,15 @@ pub enum CaptureError {
         discarded: u32,
     },
     #[error(
-        "light {light}: the lamp is on by the stage, but the images of {exposure_s} s stay dark"
+        "{light}: the lamp is on by the stage, but the images of {exposure_s} s stay dark", light = nth("light", *light)
     )]
     NoLight { light: u32, exposure_s: f64 },
     #[error(
-        "light {light}: every pixel of the sample is saturated in the shortest exposure of {exposure_s} s"
+        "{light}: every pixel of the sample is saturated in the shortest exposure of {exposure_s} s", light = nth("light", *light)
     )]
     AllSaturated { light: u32, exposure_s: f64 },
     /// Merging a bracket failed.
-    #[error("light {light} could not be merged: {source}")]
+    #[error("{light} could not be merged: {source}", light = nth("light", *light))]
     Merge {
         light: u32,
         source: super::disk::SinkError,

@@ -94,9 +94,13 @@ fn room_of(event: &Progress) -> usize {
     use Progress::*;
     match event {
         Frame { .. } | Left { .. } | Fit { .. } => SUPERSEDED,
-        Begun { .. } | Paused | Continued | Ended { .. } | Fitted { .. } | FitFailed { .. } => {
-            ESSENTIAL
-        }
+        Begun { .. }
+        | Asked { .. }
+        | Paused
+        | Continued
+        | Ended { .. }
+        | Fitted { .. }
+        | FitFailed { .. } => ESSENTIAL,
         _ => USUAL,
     }
 }

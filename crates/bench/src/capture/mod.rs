@@ -50,6 +50,6 @@ mod worker;
 pub use disk::{BracketSink, SinkError, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
-pub use progress::{DriftSpan, Ending, FrameEvent, Observer, Outcome, Progress, Stamped};
+pub use progress::{DriftSpan, Ending, FrameEvent, HandWork, Observer, Outcome, Progress, Stamped};
 pub use run::Capture;
 pub use spent::Spent;

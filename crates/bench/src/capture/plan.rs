@@ -285,7 +285,7 @@ mod tests {
         ]);
         let error = plan(&request(listed), &noise()).unwrap_err().to_string();
         assert!(
-            error.contains("light 1") && error.contains("10° to 85°"),
+            error.contains("light 2") && error.contains("10° to 85°"),
             "{error}"
         );
         assert!(matches!(

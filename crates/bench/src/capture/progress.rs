@@ -105,6 +105,15 @@ pub enum Progress {
         #[serde(flatten)]
         target: StageAngles,
     },
+    /// The person at a manual stage is asked to do something; what they answer is a line of the
+    /// capture's stdin.
+    Asked {
+        /// Counts the requests up, from 1.
+        number: u64,
+        /// What to do.
+        #[serde(flatten)]
+        work: HandWork,
+    },
     /// The exposures of a light are decided.
     Planned {
         light: u32,
@@ -195,6 +204,21 @@ pub enum Progress {
     FitFailed { error: String, hint: Option<String> },
     /// The reader was too slow: events are missing here.
     Dropped { count: u64 },
+}
+
+/// What the person at a manual stage is asked to do.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "do", rename_all = "kebab-case")]
+pub enum HandWork {
+    /// Put or hold the lamp where it shines from this direction.
+    Place(StageAngles),
+    /// Switch on this channel of the lamp, and no other.
+    LampOn {
+        /// Its number.
+        channel: LampChannel,
+    },
+    /// Switch the lamp off.
+    LampOff,
 }
 
 /// Which frame.

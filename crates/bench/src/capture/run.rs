@@ -33,6 +33,7 @@ use crate::radiometry::sensor::SensorNoise;
 use crate::session::{
     Event, FrameEntry, PlanRecord, Session, SessionRecord, SessionWriter, commit, layout,
 };
+use crate::shown::nth;
 use crate::shown::with_causes;
 use crate::units::StageAngles;
 
@@ -470,14 +471,16 @@ impl Run<'_> {
         if clips {
             let shortest_s = self.plan.exposure.shortest_s;
             let text = format!(
-                "light {light}: pixels of the sample are saturated in the shortest exposure of {shortest_s}"
+                "{light}: pixels of the sample are saturated in the shortest exposure of {shortest_s}",
+                light = nth("light", light)
             );
             self.warn(light, text).await?;
         }
         if !reached {
             let wanted = self.plan.exposure.dark_snr;
             let text = format!(
-                "light {light}: the sample's dark pixels reach a signal-to-noise ratio of {dark_snr:.1} instead of {wanted}"
+                "{light}: the sample's dark pixels reach a signal-to-noise ratio of {dark_snr:.1} instead of {wanted}",
+                light = nth("light", light)
             );
             self.warn(light, text).await?;
         }

@@ -46,7 +46,14 @@ pub(super) enum Event {
     /// The sample shall have one more session.
     Again { sample: String },
     /// The sample shall have so many sessions fewer.
-    LeftOut { sample: String, sessions: usize },
+    LeftOut {
+        sample: String,
+        sessions: usize,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        reason: Option<String>,
+    },
+    /// What was left out of the sample is wanted after all.
+    TakenBack { sample: String },
 }
 
 #[derive(Serialize, Deserialize)]

@@ -18,7 +18,7 @@
 //! let mut queue = Queue::open(&samples, &folder.path().join("sessions"))?;
 //! let Step::Capture { sample, run, of } = queue.step() else { panic!() };
 //! assert_eq!((sample.name.as_str(), run, of), ("cup", 1, 2));
-//! queue.leave_out("cup")?;
+//! queue.leave_out("cup", None)?;
 //! assert_eq!(queue.step(), Step::End);
 //! # Ok(())
 //! # }
@@ -33,5 +33,5 @@ mod work;
 pub use error::QueueError;
 pub use journal::JOURNAL_ENDING;
 pub use list::{Sample, SampleList};
-pub use state::{Entry, Queue, RunState, Step, Unreadable};
+pub use state::{Entry, Omission, Queue, RunState, Step, Unreadable};
 pub use work::{Answer, Fitted, Question, Worker, carry_out};

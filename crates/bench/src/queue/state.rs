@@ -100,7 +100,16 @@ struct Known {
     /// The sample that is next whatever the list's order.
     first: Option<String>,
     again: HashMap<String, usize>,
-    left_out: HashMap<String, usize>,
+    left_out: HashMap<String, Omission>,
+}
+
+/// What was left out of a sample.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Omission {
+    /// How many sessions.
+    pub sessions: usize,
+    /// Why, in the operator's words.
+    pub reason: Option<String>,
 }
 
 impl Known {
@@ -132,9 +141,19 @@ impl Known {
                 self.first = Some(sample.clone());
                 *self.again.entry(sample).or_default() += 1;
             }
-            Event::LeftOut { sample, sessions } => {
+            Event::LeftOut {
+                sample,
+                sessions,
+                reason,
+            } => {
                 self.first = None;
-                *self.left_out.entry(sample).or_default() += sessions;
+                let left_out = self.left_out.entry(sample).or_default();
+                left_out.sessions += sessions;
+                left_out.reason = reason.or(left_out.reason.take());
+            }
+            Event::TakenBack { sample } => {
+                self.left_out.remove(&sample);
+                self.first = Some(sample);
             }
         }
     }
@@ -262,11 +281,17 @@ impl Queue {
 
     /// How many sessions of a sample were left out.
     pub fn left_out_of(&self, sample: &Sample) -> usize {
-        self.known.left_out.get(&sample.name).copied().unwrap_or(0)
+        self.left_out(sample).map_or(0, |out| out.sessions)
+    }
+
+    /// What was left out of a sample, and why.
+    pub fn left_out(&self, sample: &Sample) -> Option<&Omission> {
+        let out = self.known.left_out.get(&sample.name);
+        out.filter(|out| out.sessions > 0)
     }
 
     /// How many sessions are planned for a sample, those that were left out among them.
-    fn planned(&self, sample: &Sample) -> usize {
+    pub fn planned(&self, sample: &Sample) -> usize {
         sample.repeats + self.known.again.get(&sample.name).copied().unwrap_or(0)
     }
 
@@ -359,12 +384,23 @@ impl Queue {
         Ok(Some(sample))
     }
 
-    /// No more sessions of this sample are wanted.
-    pub fn leave_out(&mut self, name: &str) -> Result<(), QueueError> {
+    /// No more sessions of this sample are wanted, for this reason.
+    pub fn leave_out(&mut self, name: &str, reason: Option<&str>) -> Result<(), QueueError> {
         let sample = self.samples().iter().find(|sample| sample.name == name);
         let sessions = sample.map_or(0, |sample| self.left_of(sample));
         let sample = name.to_owned();
-        self.record(Event::LeftOut { sample, sessions })
+        let reason = reason.map(str::to_owned);
+        self.record(Event::LeftOut {
+            sample,
+            sessions,
+            reason,
+        })
+    }
+
+    /// What was left out of this sample is wanted after all, and next.
+    pub fn take_back(&mut self, name: &str) -> Result<(), QueueError> {
+        let sample = name.to_owned();
+        self.record(Event::TakenBack { sample })
     }
 
     fn record(&mut self, event: Event) -> Result<(), QueueError> {
@@ -473,9 +509,9 @@ name = \"jar\"
         capture(&bench, &mut queue, "cup", 2);
         capture(&bench, &mut queue, "bowl", 3);
         assert_eq!(next(&queue), ("bowl".to_owned(), 2, 2));
-        queue.leave_out("bowl").unwrap();
+        queue.leave_out("bowl", None).unwrap();
         assert_eq!(next(&queue), ("jar".to_owned(), 1, 1));
-        queue.leave_out("jar").unwrap();
+        queue.leave_out("jar", None).unwrap();
         assert_eq!(queue.step(), Step::End);
         drop(queue);
         let queue = bench.open().unwrap();
@@ -488,6 +524,16 @@ name = \"jar\"
         assert_eq!(samples, ["cup", "cup", "bowl"]);
         let left_out = queue.samples().iter().map(|of| queue.left_out_of(of));
         assert_eq!(left_out.collect::<Vec<_>>(), [0, 1, 1]);
+        drop(queue);
+        // What was left out is known with its reason, and can be brought back.
+        let mut queue = bench.open().unwrap();
+        queue.take_back("jar").unwrap();
+        assert_eq!(next(&queue), ("jar".to_owned(), 1, 1));
+        queue.leave_out("jar", Some("broken")).unwrap();
+        drop(queue);
+        let queue = bench.open().unwrap();
+        let out = queue.left_out(&queue.samples()[2]).unwrap();
+        assert_eq!((out.sessions, out.reason.as_deref()), (1, Some("broken")));
         drop(queue);
         // A higher number asks for what was left out.
         let list = LIST.replace("repeats = 2", "repeats = 3");
@@ -579,7 +625,7 @@ name = \"jar\"
     fn torn_lines_are_dropped_and_foreign_ones_refused() {
         let bench = Bench::new();
         let mut queue = bench.open().unwrap();
-        queue.leave_out("cup").unwrap();
+        queue.leave_out("cup", None).unwrap();
         let locked = bench.open();
         assert!(
             matches!(locked, Err(QueueError::Locked { .. })),
@@ -609,7 +655,7 @@ name = \"jar\"
         let again = LIST.replace("repeats = 2", "again = true");
         std::fs::write(bench.folder.path().join("samples.toml"), again).unwrap();
         let mut queue = bench.open().unwrap();
-        queue.leave_out("cup").unwrap();
+        queue.leave_out("cup", None).unwrap();
         queue.next("bowl").unwrap();
         drop(queue);
         assert_eq!(next(&bench.open().unwrap()), ("bowl".to_owned(), 1, 1));

@@ -21,17 +21,24 @@ pub enum Question<'a> {
     },
     /// Whether the sample of an interrupted capture lies there as it did.
     Resume { sample: &'a str },
-    /// All is done: whether the last sample is to be repeated.
-    Done { last: &'a str },
+    /// All is done: whether the last sample is to be repeated, or what was left out captured
+    /// after all, of which this is the first.
+    Done {
+        last: Option<&'a str>,
+        left_out: Option<&'a str>,
+    },
 }
 
 /// What the operator answers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Answer {
     Go,
     Repeat,
-    LeaveOut,
+    /// With a reason.
+    LeaveOut(Option<String>),
+    /// All that was left out is to be captured.
+    TakeBack,
     Quit,
 }
 
@@ -76,8 +83,8 @@ pub fn carry_out<W: Worker>(queue: &mut Queue, worker: &W) -> Result<(), W::Erro
                 let name = name_of(&session);
                 match worker.ask(Question::Resume { sample: &sample })? {
                     Answer::Quit => return Ok(()),
-                    Answer::LeaveOut => queue.abandon(&name)?,
-                    Answer::Go | Answer::Repeat => {
+                    Answer::LeaveOut(_) => queue.abandon(&name)?,
+                    Answer::Go | Answer::Repeat | Answer::TakeBack => {
                         capture(queue, worker, worker.resume(&session)?, &name)?;
                     }
                 }
@@ -85,13 +92,7 @@ pub fn carry_out<W: Worker>(queue: &mut Queue, worker: &W) -> Result<(), W::Erro
             }
             Step::Fit { session } => fit(queue, worker, &session).map(|()| true)?,
             Step::Capture { sample, run, of } => next(queue, worker, &sample, run, of)?,
-            Step::End => match queue.last() {
-                None => false,
-                Some(last) => match worker.ask(Question::Done { last })? {
-                    Answer::Repeat => queue.again()?.is_some(),
-                    _ => false,
-                },
-            },
+            Step::End => end(queue, worker)?,
         };
         if !goes_on {
             return Ok(());
@@ -116,9 +117,9 @@ fn next<W: Worker>(
     };
     match worker.ask(question)? {
         Answer::Quit => return Ok(false),
-        Answer::LeaveOut => queue.leave_out(&sample.name)?,
+        Answer::LeaveOut(reason) => queue.leave_out(&sample.name, reason.as_deref())?,
         Answer::Repeat => drop(queue.again()?),
-        Answer::Go => {
+        Answer::Go | Answer::TakeBack => {
             queue.next(&sample.name)?;
             let job = worker.begin(sample)?;
             let session = name_of(job.root());
@@ -127,6 +128,32 @@ fn next<W: Worker>(
         }
     }
     Ok(true)
+}
+
+/// When all is done, the last sample can still be repeated, and what was left out be captured;
+/// whether the queue goes on.
+fn end<W: Worker>(queue: &mut Queue, worker: &W) -> Result<bool, W::Error> {
+    let is_left_out = |of: &&Sample| queue.left_out(of).is_some();
+    let left_out = queue.samples().iter().filter(is_left_out);
+    let left_out: Vec<_> = left_out.map(|sample| sample.name.clone()).collect();
+    let question = Question::Done {
+        last: queue.last(),
+        left_out: left_out.first().map(String::as_str),
+    };
+    if matches!(question, Question::Done { last: None, left_out: None }) {
+        return Ok(false);
+    }
+    match worker.ask(question)? {
+        Answer::Repeat => Ok(queue.again()?.is_some()),
+        Answer::TakeBack => {
+            // The last one taken back comes first.
+            for name in left_out.iter().rev() {
+                queue.take_back(name)?;
+            }
+            Ok(!left_out.is_empty())
+        }
+        _ => Ok(false),
+    }
 }
 
 /// Captures, then fits.
@@ -175,7 +202,7 @@ mod tests {
                     sample, run, of, ..
                 } => format!("{} {run}/{of}", sample.name),
                 Question::Resume { sample } => format!("resume {sample}"),
-                Question::Done { last } => format!("done {last}"),
+                Question::Done { last, left_out } => format!("done {last:?} {left_out:?}"),
             });
             Ok(self.0.borrow_mut().remove(0))
         }
@@ -214,16 +241,26 @@ mod tests {
         queue.captured(&names[1]).unwrap();
         let worker = |answers: &[Answer]| Scripted(answers.to_vec().into(), RefCell::default());
         // An interrupted session is left, the other one's fit holds nothing up, one more is
-        // wanted and left out.
+        // wanted and left out, taken back and left out again.
         let answers = [
-            Answer::LeaveOut,
+            Answer::LeaveOut(None),
             Answer::Repeat,
-            Answer::LeaveOut,
+            Answer::LeaveOut(Some("broken".to_owned())),
+            Answer::TakeBack,
+            Answer::LeaveOut(None),
             Answer::Go,
         ];
         let went = worker(&answers);
         carry_out(&mut queue, &went).unwrap();
-        let asked = ["resume cup", "fit true", "done cup", "cup 3/3", "done cup"];
+        let asked = [
+            "resume cup",
+            "fit true",
+            "done Some(\"cup\") None",
+            "cup 3/3",
+            "done Some(\"cup\") Some(\"cup\")",
+            "cup 3/3",
+            "done Some(\"cup\") Some(\"cup\")",
+        ];
         assert_eq!(*went.1.borrow(), asked);
         assert_eq!(queue.left(), 0);
     }

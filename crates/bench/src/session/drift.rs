@@ -8,6 +8,7 @@ use std::fmt;
 
 use super::{Event, Session, SessionError};
 use crate::device::FrameKind;
+use crate::shown::nth;
 use crate::statistics::two_sided_normal_quantile;
 
 /// Number of the round in which the first light is visited again; brackets have far fewer.
@@ -118,8 +119,8 @@ impl fmt::Display for LampChange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "the lamp drifted by {} ", self.percent())?;
         match self.span {
-            Span::WithinLight(light) => write!(f, "during light {light}"),
-            Span::OverSession => write!(f, "between light 0 and its second visit at the end"),
+            Span::WithinLight(light) => write!(f, "during {light}", light = nth("light", light)),
+            Span::OverSession => write!(f, "between light 1 and its second visit at the end"),
         }?;
         write!(f, " (lamp channel {})", self.channel)
     }
@@ -287,7 +288,7 @@ mod tests {
         };
         assert_eq!(
             change.to_string(),
-            "the lamp drifted by +0.53 ± 0.12% during light 1 (lamp channel 2)"
+            "the lamp drifted by +0.53 ± 0.12% during light 2 (lamp channel 2)"
         );
         change.std_dev = None;
         assert!(change.to_string().contains("uncertainty not recorded"));

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::file_system::has_no_more_files;
+use crate::shown::nth;
 
 /// A session could not be written, read or trusted.
 #[derive(Debug, thiserror::Error)]
@@ -66,8 +67,8 @@ pub enum SessionError {
         allowed: String,
     },
     #[error(
-        "light {light} of {} has no merged image, because the capture ended after {finished} of {planned} lights ({reason})",
-        path.display()
+        "{light} of {} has no merged image, because the capture ended after {finished} of {planned} lights ({reason})",
+        path.display(), light = nth("light", *light)
     )]
     NotCaptured {
         path: PathBuf,

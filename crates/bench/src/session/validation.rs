@@ -153,12 +153,12 @@ impl LightScore {
 }
 
 impl Validation {
-    /// A row for each predicted light and one for all, cell by cell below [`HEADINGS`].
+    /// A row for each predicted light, counted from 1, and one for all, cell by cell below [`HEADINGS`].
     pub fn table(&self) -> Vec<Vec<String>> {
         let lights = self
             .lights
             .iter()
-            .map(|score| (score.light.to_string(), score));
+            .map(|score| ((score.light + 1).to_string(), score));
         let rows = lights.chain([("all".to_owned(), &self.all)]);
         rows.map(|(name, score)| [name].into_iter().chain(score.cells()).collect())
             .collect()
@@ -182,8 +182,8 @@ impl Validation {
             false => ("predicted", &predicted, "fitted"),
         };
         let named_image = |&light: &usize| match self.images.get(light) {
-            Some(image) => format!("{light} ({image})"),
-            None => light.to_string(),
+            Some(image) => format!("{} ({image})", light + 1),
+            None => (light + 1).to_string(),
         };
         let (ending, verb) = match lights.len() {
             1 => ("", "was"),
@@ -425,7 +425,7 @@ mod tests {
         let said = example().division();
         assert_eq!(
             said,
-            "light 0 (derived/radiance_L000.exr) was fitted, the others predicted"
+            "light 1 (derived/radiance_L000.exr) was fitted, the others predicted"
         );
     }
 

@@ -13,6 +13,7 @@ use super::layout::{
     self, JOB_LOCK_FILE, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE,
 };
 use super::{Session, SessionError, journalled};
+use crate::shown::nth;
 use crate::units::StageAngles;
 
 /// What a check of a session found.
@@ -183,8 +184,8 @@ pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
         };
         let why = match &record.event {
             _ if light.is_some_and(|light| light >= lights) => format!(
-                "a record of light {}, and the plan has {lights}, counted from 0",
-                light.unwrap_or_default()
+                "a record of {}, and the plan has {lights} lights",
+                nth("light", light.unwrap_or_default())
             ),
             Event::Frame { key, .. } if !frames.insert(*key) => {
                 format!("frame {} a second time", layout::frame_stem(*key))

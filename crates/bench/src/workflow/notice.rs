@@ -92,7 +92,7 @@ impl fmt::Display for Notice<'_> {
             ),
             ImageOrder { given } => write!(
                 out,
-                "the numbers in the images' names are not in order: {given} are taken for lights 0, 1, …"
+                "the numbers in the images' names are not in order: {given} are taken for lights 1, 2, …"
             ),
             HomingCycle { cycle, of, off } => write!(
                 out,

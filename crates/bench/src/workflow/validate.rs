@@ -24,6 +24,7 @@ use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record::FitRecord;
 use crate::session::utc_now;
 use crate::session::validation::{FORMAT, LeftOut, Validation};
+use crate::shown::nth;
 use crate::transport::Scene;
 
 /// Which lights are fitted; the rest is predicted.
@@ -50,7 +51,7 @@ pub enum HoldOutError {
     /// Nothing is left to fit or to predict.
     #[error("{held_out} of {lights} lights are to be predicted; allowed are 1 to {}", lights - 1)]
     Count { held_out: usize, lights: usize },
-    #[error("there is no light {light}: the lights are 0 to {}", lights - 1)]
+    #[error("there is no {light}: the lights are 1 to {lights}", light = nth("light", *light))]
     NoSuchLight { light: usize, lights: usize },
 }
 

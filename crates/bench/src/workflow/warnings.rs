@@ -5,6 +5,7 @@ use crate::inverse::diagnosis::Cause;
 use crate::inverse::findings::{Finding, Flip};
 use crate::radiance_image::CHANNEL_NAMES;
 use crate::session::fit_record::{BenchRecord, FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
+use crate::shown::nth;
 
 /// Reasons not to trust a fit, or not in everything, with what most likely made them; the
 /// gravest first.
@@ -66,9 +67,10 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             warn(
                 Grade::Reservation,
                 format!(
-                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
+                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light ({light})",
                     record.settings.max_reflections,
-                    100.0 * share
+                    100.0 * share,
+                    light = nth("light", light)
                 ),
                 "--max-reflections is too small for so bright a material in so deep a shape",
             );
@@ -79,8 +81,9 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             warn(
                 Grade::Reservation,
                 format!(
-                    "{:.1}% of the values of light {light} are isolated outliers and have less weight",
-                    100.0 * part
+                    "{:.1}% of the values of {light} are isolated outliers and have less weight",
+                    100.0 * part,
+                    light = nth("light", light)
                 ),
                 "dust or scratches on the sample, or hot pixels",
             );
@@ -148,8 +151,9 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         Finding::StrayLight { image, share } => (
             Reservation,
             format!(
-                "image {image} has stray light: {:.1}% of its bright parts (99th percentile) where neither the lamp nor the sample sends light",
-                100.0 * share
+                "{image} has stray light: {:.1}% of its bright parts (99th percentile) where neither the lamp nor the sample sends light",
+                100.0 * share,
+                image = nth("image", image)
             ),
             advice(Cause::StrayLight),
         ),
@@ -164,8 +168,9 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         Finding::DarkChannel { image, channel } => (
             Reservation,
             format!(
-                "image {image} shows no light above its noise in the {} channel",
-                CHANNEL_NAMES[channel]
+                "{image} shows no light above its noise in the {} channel",
+                CHANNEL_NAMES[channel],
+                image = nth("image", image)
             ),
             "a lamp or filter without this colour; the material's values there are upper limits",
         ),
@@ -184,23 +189,26 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         Finding::Unexplained { image, share } => (
             Distrust,
             format!(
-                "{:.0}% of the light of image {image} is not where the material puts it",
-                100.0 * share.min(9.99)
+                "{:.0}% of the light of {image} is not where the material puts it",
+                100.0 * share.min(9.99),
+                image = nth("image", image)
             ),
             "an image of something else, or a scene file whose camera, lights or sample are not those of the images",
         ),
         Finding::NoStructure { image } => (
             Distrust,
             format!(
-                "image {image} shows no shading of the sample: the same radiance in all pixels explains it as well"
+                "{image} shows no shading of the sample: the same radiance in all pixels explains it as well",
+                image = nth("image", image)
             ),
             "an image of noise or of an evenly lit surface, or a scene file that is not of this image",
         ),
         Finding::Scatter { image, ratio } => (
             by_factor(ratio, IMPOSSIBLE_SCATTER),
             format!(
-                "neighbouring pixels of image {image} scatter by {} times the standard deviation that its variance states",
-                factor(ratio)
+                "neighbouring pixels of {image} scatter by {} times the standard deviation that its variance states",
+                factor(ratio),
+                image = nth("image", image)
             ),
             if ratio > 1.0 {
                 "a variance that leaves out noise, such as that of the mean of several frames, or one in another unit"
@@ -243,13 +251,15 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         Finding::Exchanged { image, light, flip } => (
             Distrust,
             format!(
-                "image {image} looks like that of light {light}{}",
+                "{image} looks like that of {light}{}",
                 match flip {
                     Flip::None => "",
                     Flip::Horizontal => " with left and right exchanged",
                     Flip::Vertical => " with top and bottom exchanged",
                     Flip::HalfTurn => " turned by 180°",
-                }
+                },
+                image = nth("image", image),
+                light = nth("light", light)
             ),
             match flip {
                 Flip::None => "images that are not in the order of the scene's lights",

@@ -41,6 +41,8 @@ pub fn facts(rig: &RigConfig, file: &str, folder: &Path, mode: Mode) -> Value {
     let to_camera = rig.geometry.coaxial();
     let direction = (to_camera != DVec3::ZERO).then(|| StageAngles::from_direction(to_camera));
     json!({
+        // A page that comes back learns by it that this is another console, or another bench.
+        "since": jiff::Timestamp::now().to_string(),
         "version": env!("CARGO_PKG_VERSION"),
         "mode": mode.name(),
         "folder": folder.to_string_lossy(),

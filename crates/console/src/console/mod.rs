@@ -9,6 +9,8 @@
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`facts`]: what a page learns about the rig.
+//! - [`queue`]: many samples one after the other.
+//! - [`rigs`]: the rig files of the folder, edited and chosen.
 //! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
@@ -24,6 +26,8 @@ pub mod frames;
 pub mod hub;
 pub mod jobs;
 pub mod picture;
+pub mod queue;
 pub mod refusal;
 pub mod request;
+pub mod rigs;
 pub mod server;

@@ -160,7 +160,7 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Va
     });
     let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
     context! {
-        name => format!("L{:03}", light.index),
+        name => light.index + 1,
         place => value(place),
         captured => value(captured.map(|captured| uri(&captured.picture))),
         rendered => value(rendered.map(uri)),

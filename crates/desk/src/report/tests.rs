@@ -332,7 +332,7 @@ fn a_whole_session_has_every_section() {
     assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1 + 1);
     assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
     let predicted = [
-        "light 0 (derived&#x2f;radiance_L000.exr) was fitted",
+        "light 1 (derived&#x2f;radiance_L000.exr) was fitted",
         ">11.5%<",
         "95.1%",
     ];

@@ -18,6 +18,7 @@ use self::light::{Distance, FoundLight};
 use self::outline::Stated;
 use super::record::Measured;
 use crate::radiance_image::RadianceImage;
+use crate::shown::nth;
 use crate::transport::{Camera, Projection};
 
 /// Why an image of a mirror sphere does not determine the light. Pixels count from the
@@ -66,7 +67,7 @@ pub enum SphereError {
     },
     /// Nothing stands out.
     #[error(
-        "no highlight on the sphere at ({x:.0}, {y:.0}) in image {image}: its brightest spot stands {contrast:.1} times above its surroundings, {deviations:.0} standard deviations"
+        "no highlight on the sphere at ({x:.0}, {y:.0}) in {image}: its brightest spot stands {contrast:.1} times above its surroundings, {deviations:.0} standard deviations", image = nth("image", *image)
     )]
     NoHighlight {
         /// Which image, from 0.
@@ -78,7 +79,7 @@ pub enum SphereError {
     },
     /// Too many pixels of the highlight are clipped, or not those of its core.
     #[error(
-        "the highlight at ({x:.0}, {y:.0}) in image {image} is saturated or masked in {pixels} of its pixels, more than a round core"
+        "the highlight at ({x:.0}, {y:.0}) in {image} is saturated or masked in {pixels} of its pixels, more than a round core", image = nth("image", *image)
     )]
     Saturated {
         /// Which image, from 0.
@@ -89,7 +90,7 @@ pub enum SphereError {
     },
     /// More than one lamp, or a window that is mirrored.
     #[error(
-        "two highlights on one sphere in image {image}: at ({:.1}, {:.1}) and at ({:.1}, {:.1}), the second with {percent:.0}% of the first's light", .first[0], .first[1], .second[0], .second[1]
+        "two highlights on one sphere in {image}: at ({:.1}, {:.1}) and at ({:.1}, {:.1}), the second with {percent:.0}% of the first's light", .first[0], .first[1], .second[0], .second[1], image = nth("image", *image)
     )]
     TwoHighlights {
         /// Which image, from 0.
@@ -102,7 +103,7 @@ pub enum SphereError {
         percent: f64,
     },
     #[error(
-        "the two spheres' highlights in image {image} do not belong to one lamp: their rays miss each other by {deviations:.1} standard deviations"
+        "the two spheres' highlights in {image} do not belong to one lamp: their rays miss each other by {deviations:.1} standard deviations", image = nth("image", *image)
     )]
     NotOneLamp {
         /// Which image, from 0.

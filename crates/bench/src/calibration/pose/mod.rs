@@ -34,6 +34,7 @@ mod values;
 mod tests;
 
 use super::record::Measured;
+use crate::shown::nth;
 
 pub use align::{align, find};
 #[cfg(feature = "figures")]
@@ -114,7 +115,7 @@ pub struct ResidualShift {
 pub enum PoseError {
     #[error("{images} images for {lights} lights")]
     ImageCount { images: usize, lights: usize },
-    #[error("the image of light {light} is not {width} × {height} pixels as the camera's are")]
+    #[error("the image of {light} is not {width} × {height} pixels as the camera's are", light = nth("light", *light))]
     ImageSize {
         /// From 0.
         light: usize,

@@ -17,6 +17,7 @@ pub use values::{FocusValues, LensValues, MeasuredEdge};
 
 use super::mirror_sphere::Grey;
 use super::white::Region;
+use crate::shown::nth;
 use crate::transport::Camera;
 
 /// Edges at known heights, and the images that show them.
@@ -102,7 +103,7 @@ pub enum EdgeError {
     },
     #[error("one image cannot show {heights} heights at the same position")]
     OneImage { heights: usize },
-    #[error("image {image} has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
+    #[error("{image} has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1], image = nth("image", *image))]
     Size {
         image: usize,
         /// Its width and height.
@@ -110,12 +111,12 @@ pub enum EdgeError {
         camera: [usize; 2],
     },
     #[error(
-        "the region of {width} x {height} pixels at ({x}, {y}) is not inside image {image} or has less than {LEAST_SIDE_PX} pixels on a side", width = .region.width, height = .region.height, x = .region.x, y = .region.y
+        "the region of {width} x {height} pixels at ({x}, {y}) is not inside {image} or has less than {LEAST_SIDE_PX} pixels on a side", width = .region.width, height = .region.height, x = .region.x, y = .region.y, image = nth("image", *image)
     )]
     Region { image: usize, region: Region },
     /// No edge stands out.
     #[error(
-        "no edge in image {image}: its sides differ by {percent:.1}% of their mean, {deviations:.1} standard deviations of a pixel"
+        "no edge in {image}: its sides differ by {percent:.1}% of their mean, {deviations:.1} standard deviations of a pixel", image = nth("image", *image)
     )]
     Contrast {
         image: usize,
@@ -124,7 +125,7 @@ pub enum EdgeError {
     },
     /// More than one edge, or a curved one.
     #[error(
-        "image {image} does not show one straight edge: {percent:.0}% of its changes lie along the best line"
+        "{image} does not show one straight edge: {percent:.0}% of its changes lie along the best line", image = nth("image", *image)
     )]
     NotStraight {
         image: usize,
@@ -133,21 +134,21 @@ pub enum EdgeError {
     },
     /// The edge runs along the pixels, or diagonally.
     #[error(
-        "the edge in image {image} is tilted by {degrees:.1} degrees against the pixels' rows or columns"
+        "the edge in {image} is tilted by {degrees:.1} degrees against the pixels' rows or columns", image = nth("image", *image)
     )]
     Tilt { image: usize, degrees: f64 },
     #[error(
-        "{pixels} usable pixels along {length:.0} pixels of the edge in image {image}: too few"
+        "{pixels} usable pixels along {length:.0} pixels of the edge in {image}: too few", image = nth("image", *image)
     )]
     TooFew {
         image: usize,
         pixels: usize,
         length: f64,
     },
-    #[error("{percent:.0}% of the pixels near the edge in image {image} are masked or saturated")]
+    #[error("{percent:.0}% of the pixels near the edge in {image} are masked or saturated", image = nth("image", *image))]
     Masked { image: usize, percent: f64 },
     /// The camera does not see a target at that height.
-    #[error("image {image}: the camera sees nothing at a height of {height_mm} mm")]
+    #[error("{image}: the camera sees nothing at a height of {height_mm} mm", image = nth("image", *image))]
     Height { image: usize, height_mm: f64 },
     /// The iteration does not settle, or the data determine nothing.
     #[error("the edges' profiles could not be fitted: {0}")]

@@ -7,6 +7,7 @@ use crate::capture::CaptureError;
 use crate::capture::exposure_check::{self, Exposed, SignalRatio, Verdict, signal_ratio};
 use crate::device::{CameraSettings, LampChannel, LampState, RawFrame};
 use crate::session::Sidecar;
+use crate::shown::nth;
 
 /// Frames beyond the camera's own latency that may be thrown away until a
 /// change of settings shows.
@@ -30,7 +31,8 @@ impl Run<'_> {
                 return Err(lost);
             }
             let text = format!(
-                "light {light}: {lost}; the lamp is off and the camera is waited for, {within} at most"
+                "{light}: {lost}; the lamp is off and the camera is waited for, {within} at most",
+                light = nth("light", light)
             );
             self.warn(light, text).await?;
             if !self.devices.camera_returned(within).await? {
@@ -84,8 +86,8 @@ impl Run<'_> {
                         continue;
                     }
                     let text = format!(
-                        "the lamp drifted by {found} since light {} was captured",
-                        shot.key.light
+                        "the lamp drifted by {found} since {} was captured",
+                        nth("light", shot.key.light)
                     );
                     self.warn(shot.key.light, text).await?;
                     return Ok((frame, found.if_known()));
@@ -94,13 +96,17 @@ impl Run<'_> {
                     let light = shot.key.light;
                     let text = match reference {
                         Reference::Lamp(_) => {
-                            format!("the lamp drifted by {found} during light {light}")
+                            format!(
+                                "the lamp drifted by {found} during {light}",
+                                light = nth("light", light)
+                            )
                         }
                         _ => format!(
-                            "light {light}: at {} the images show {:.4} of the expected signal, more than {} % off",
+                            "{light}: at {} the images show {:.4} of the expected signal, more than {} % off",
                             applied.exposure,
                             found.ratio,
-                            100.0 * exposure_check::GOOD
+                            100.0 * exposure_check::GOOD,
+                            light = nth("light", light)
                         ),
                     };
                     self.warn(shot.key.light, text).await?;

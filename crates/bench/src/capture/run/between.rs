@@ -11,6 +11,7 @@ use crate::device::temperature::{Part, Warmth};
 use crate::interrupt::StopLevel;
 use crate::session::Event;
 use crate::session::journal::clock_fact;
+use crate::shown::nth;
 
 /// Bytes of a sidecar and of the journal's line, generously.
 const SIDECAR_BYTES: u64 = 4096;
@@ -111,7 +112,7 @@ impl Run<'_> {
             return Ok(());
         };
         self.disk.record(Event::ClockStep { by_s }).await?;
-        let text = format!("light {light}: {}", clock_fact(by_s));
+        let text = format!("{light}: {}", clock_fact(by_s), light = nth("light", light));
         self.warn(light, text).await
     }
 
@@ -131,7 +132,8 @@ impl Run<'_> {
             Warmth::Near(limit_c) => {
                 self.warm_reported.push(part);
                 let text = format!(
-                    "light {light}: the {part} has {temperature_c:.1} °C; above {limit_c} °C the capture is suspended"
+                    "{light}: the {part} has {temperature_c:.1} °C; above {limit_c} °C the capture is suspended",
+                    light = nth("light", light)
                 );
                 self.warn(light, text).await
             }

@@ -6,6 +6,7 @@ use super::Run;
 use super::frame::{Shot, Taken};
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::{Verdict, signal_ratio};
+use crate::shown::nth;
 
 impl Run<'_> {
     /// Whether these two frames of one scene would have contradicted each other if
@@ -56,7 +57,8 @@ impl Run<'_> {
         if !is_shown && !self.unproven_reported {
             self.unproven_reported = true;
             let text = format!(
-                "light {light}: the images cannot show whether the camera obeys its exposure"
+                "{light}: the images cannot show whether the camera obeys its exposure",
+                light = nth("light", light)
             );
             self.warn(light, text).await?;
         }

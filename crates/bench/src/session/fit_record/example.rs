@@ -112,7 +112,7 @@ pub fn fit() -> FitRecord {
             residual_refined: -0.01,
             held: vec!["rotation about z".to_owned()],
             parameter: vec![BenchParameter {
-                name: "azimuth of light 0".to_owned(),
+                name: "azimuth of light 1".to_owned(),
                 unit: "deg".to_owned(),
                 value: -0.12,
                 deviation: 0.03,

@@ -26,7 +26,7 @@ pub struct BenchRecord {
 /// A nuisance parameter: one difference of the bench from its description.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchParameter {
-    /// Such as `azimuth of light 0` or `rotation about x`.
+    /// In words, which count lights from 1: `azimuth of light 1` or `rotation about x`.
     pub name: String,
     /// Unit of the figures.
     pub unit: String,

@@ -22,6 +22,7 @@ use crate::radiance_image::exr;
 use crate::session::Session;
 use crate::session::layout::{self, DERIVED_FOLDER, FITS_FOLDER};
 use crate::session::validation::{self, LightScore, Validation};
+use crate::shown::nth;
 
 /// Pixels a side of a sphere.
 const SPHERE_PX: usize = 128;
@@ -124,10 +125,10 @@ impl PictureOf {
     fn caption(self) -> String {
         match self {
             Self::Thumbnail => "The sample".to_owned(),
-            Self::Radiance(light) => format!("Light {light}: captured radiance"),
-            Self::Rendered { light, .. } => format!("Light {light}: rendered from the fit"),
+            Self::Radiance(light) => format!("{light}: captured radiance", light = nth("Light", light)),
+            Self::Rendered { light, .. } => format!("{light}: rendered from the fit", light = nth("Light", light)),
             Self::Residual { light, .. } => format!(
-                "Light {light}: captured less rendered in R, G and B, full colour at ±{RESIDUAL_RANGE} standard deviations"
+                "{light}: captured less rendered in R, G and B, full colour at ±{RESIDUAL_RANGE} standard deviations", light = nth("Light", light)
             ),
             Self::Spheres { .. } => {
                 "Spheres of the material under environment maps; below them the true material, where it is known, and 18% grey".to_owned()
@@ -170,7 +171,7 @@ pub fn of_validation(session: &Session, number: u32, record: &Validation) -> Vec
     let picture = |score: &LightScore| {
         let name = validation::inside(number, &validation::picture_file(score.light));
         let image = record.images.get(score.light).map_or("", String::as_str);
-        let caption = format!("Light {}, {image}", score.light);
+        let caption = format!("{}, {image}", nth("Light", score.light));
         session
             .vouches_for(&name)
             .then_some(Named { name, caption })

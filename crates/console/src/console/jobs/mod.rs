@@ -14,9 +14,10 @@ mod reading;
 mod routes;
 
 use std::ffi::OsString;
+use std::io::Write;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -28,6 +29,7 @@ pub use self::capture_state::{CaptureState, StoredFrame};
 pub use self::job_state::{Kind, State};
 pub use self::query::{Answer, QueryError, query};
 pub use self::routes::routes;
+pub(super) use self::routes::{capture, option, without_fit};
 pub use crate::shell_words::command_line as shown;
 
 use self::job_state::JobState;
@@ -161,6 +163,8 @@ struct Run {
     pauses: u64,
     /// Signals that came before the process was there.
     waiting: Vec<Signal>,
+    /// Where a capture reads the answers of the person at a manual stage.
+    stdin: Option<ChildStdin>,
     /// The devices are the job's.
     loan: Option<Loan>,
     is_closed: bool,
@@ -273,7 +277,7 @@ impl Jobs {
             }
             Ok((loan, self.spawn(&work).map_err(failed)?))
         });
-        let (loan, (process, stdout, stderr)) = match begun {
+        let (loan, (process, stdin, stdout, stderr)) = match begun {
             Ok(begun) => begun,
             Err(error) => {
                 locked(&self.0.run).kind = None;
@@ -288,6 +292,7 @@ impl Jobs {
             process.send(&waiting);
             run.process = Some(process.clone());
             run.loan = loan;
+            run.stdin = stdin;
         }
         {
             let mut shown = locked(&self.0.shown);
@@ -318,12 +323,15 @@ impl Jobs {
                 .env("NO_COLOR", "1")
                 // What the terminal sends is for the console, which passes it on.
                 .process_group(0)
-                .stdin(Stdio::null())
+                .stdin(match work.kind {
+                    Kind::Capture => Stdio::piped(),
+                    _ => Stdio::null(),
+                })
                 .stderr(Stdio::piped());
         }
         let mut child = command.spawn()?;
-        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        Ok((Arc::new(Process::new(child)), stdout, stderr))
+        let pipes = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+        Ok((Arc::new(Process::new(child)), pipes.0, pipes.1, pipes.2))
     }
 
     /// The threads that report to `sender`.
@@ -423,6 +431,7 @@ impl Jobs {
         let mut run = locked(&self.0.run);
         run.kind = None;
         run.process = None;
+        run.stdin = None;
         run.last_exit = status;
         let loan = run.loan.take();
         drop(run);
@@ -543,6 +552,21 @@ impl Jobs {
         self.publish();
     }
 
+    /// Answers the capture's question of this number: whether the person has done what it asks.
+    /// `false` where that question is open no more.
+    pub fn answer(&self, number: u64, done: bool) -> bool {
+        let mut shown = locked(&self.0.shown);
+        let is_open = (shown.capture.as_mut()).is_some_and(|capture| capture.answered(number));
+        drop(shown);
+        if is_open && let Some(stdin) = &mut locked(&self.0.run).stdin {
+            let line = serde_json::json!({"number": number, "done": done});
+            // A capture that has just ended takes none; an answer a question never fills the pipe.
+            let _ = writeln!(stdin, "{line}");
+        }
+        self.publish();
+        is_open
+    }
+
     /// A short command, on this thread.
     ///
     /// # Errors
@@ -589,6 +613,7 @@ impl Jobs {
 
 type Spawned = (
     Arc<Process>,
+    Option<ChildStdin>,
     Option<std::process::ChildStdout>,
     Option<std::process::ChildStderr>,
 );

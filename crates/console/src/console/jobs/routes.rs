@@ -15,12 +15,14 @@ use serde_json::{Value, json};
 use super::job_state::Kind;
 use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
 use crate::beneath;
+use crate::calibration::record::Kind as RecordKind;
 use crate::config::RIG_FILE;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
 use crate::session::layout::session_name;
+use crate::shell_words::quoted;
 
 /// A short command has so long.
 const SHORT: Duration = Duration::from_secs(30);
@@ -69,12 +71,12 @@ impl CaptureForm {
 }
 
 /// What tells a capture that no fit follows; it does if the page does not say.
-fn without_fit(fit: Option<bool>) -> Option<OsString> {
+pub fn without_fit(fit: Option<bool>) -> Option<OsString> {
     (fit == Some(false)).then(|| "--no-fit".into())
 }
 
 /// `--name=value` as one argument.
-fn option(name: &str, value: impl AsRef<std::ffi::OsStr>) -> OsString {
+pub fn option(name: &str, value: impl AsRef<std::ffi::OsStr>) -> OsString {
     let mut whole = OsString::from(name);
     whole.push(value);
     whole
@@ -123,6 +125,7 @@ pub fn routes(jobs: Jobs) -> Router {
         .route("/api/capture/pause", post(pause))
         .route("/api/capture/continue", post(go_on))
         .route("/api/capture/finish", post(finish))
+        .route("/api/capture/answer", post(answer))
         .route("/api/capture/stop", post(stop))
         .route("/api/jobs/stop", post(stop))
         .with_state(jobs)
@@ -142,7 +145,16 @@ async fn doctor(State(jobs): State<Jobs>) -> Done {
 async fn calibrations(State(jobs): State<Jobs>) -> Done {
     let rig = option("--rig=", &jobs.program().rig);
     let arguments = ["calibrate".into(), "status".into(), rig, "--json".into()];
-    shown_json(&jobs, arguments.into()).await
+    let Json(mut status) = shown_json(&jobs, arguments.into()).await?;
+    let records = status.get_mut("records").and_then(Value::as_array_mut);
+    for record in records.into_iter().flatten() {
+        // How it is made, whether or not that is needed now.
+        if let Ok(kind) = serde_json::from_value::<RecordKind>(record["kind"].clone()) {
+            let (command, rig) = (kind.command(), quoted(&jobs.program().rig));
+            record["command"] = format!("rig calibrate {command} --rig {rig}").into();
+        }
+    }
+    Ok(Json(status))
 }
 
 async fn devices(State(jobs): State<Jobs>) -> Done {
@@ -247,7 +259,7 @@ async fn plan(State(jobs): State<Jobs>, Asked(form): Asked<CaptureForm>) -> Done
 }
 
 /// Starts a capture; closing the devices may take a moment, so on another thread.
-async fn capture(jobs: Jobs, work: Work) -> Accepted {
+pub async fn capture(jobs: Jobs, work: Work) -> Accepted {
     let command = blocking(move || jobs.start(work)).await??;
     accepted(json!({"command": command}))
 }
@@ -305,6 +317,23 @@ async fn go_on(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Acce
 
 async fn finish(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Accepted {
     of_capture(&jobs, Jobs::finish)
+}
+
+#[derive(Deserialize)]
+struct HandAnswer {
+    number: u64,
+    done: bool,
+}
+
+async fn answer(
+    State(jobs): State<Jobs>,
+    _: Controlled,
+    Asked(form): Asked<HandAnswer>,
+) -> Accepted {
+    match blocking(move || jobs.answer(form.number, form.done)).await? {
+        true => accepted(json!({})),
+        false => Err(Refusal::conflict("this question is answered already")),
+    }
 }
 
 /// By anyone, at any time. What is being stopped: null where no job runs.

@@ -185,7 +185,7 @@ function lampPanel() {
   function show(reason) {
     const bench = state.bench;
     const channels = state.console?.rig?.channels ?? [];
-    element.hidden = state.console?.mode === "camera" || channels.length === 0;
+    element.hidden = state.console?.mode === "camera" || state.console?.rig?.has_stage === false || channels.length === 0;
     redraw(buttons, channels, () => channels.map((name, i) => h("button", { type: "button", class: "toggle", title: `Lights the ${name} lamp, or puts it out`, onclick: () => light(i) }, name)));
     const lit = bench?.stage?.lamp ?? null;
     const off = notReady(reason);

@@ -36,7 +36,7 @@ export function capturing() {
 }
 
 /** True while any job is under way. */
-function working() {
+export function working() {
   return ["running", "paused", "ending"].includes(state.job?.state);
 }
 
@@ -65,9 +65,14 @@ async function stop() {
   setTimeout(() => button.classList.remove("pressed"), 600);
 }
 
+let since = null;
+
 function showRig() {
   const rig = state.console?.rig;
   if (!rig) return;
+  // Another console answers at this address, or another bench: the page begins anew.
+  since ??= state.console.since;
+  if (since !== state.console.since) location.reload();
   say(by("rig-name"), rig.name);
   by("simulated").hidden = !rig.simulated;
   showTitle();

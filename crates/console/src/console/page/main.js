@@ -5,12 +5,13 @@ import { startBench } from "./bench.js";
 import { startCapture } from "./capture.js";
 import { by } from "./dom.js";
 import { startHeader } from "./header.js";
+import { startQueue } from "./queue.js";
 import { startSessions } from "./sessions.js";
 import { startSetup } from "./setup.js";
 import { startShortcuts } from "./shortcuts.js";
 import { open, state, watch } from "./stream.js";
 
-const VIEWS = ["bench", "capture", "sessions", "setup"];
+const VIEWS = ["bench", "capture", "queue", "sessions", "setup"];
 const shown = {};
 let current = null;
 
@@ -52,6 +53,7 @@ async function start() {
   startShortcuts();
   shown.bench = startBench(by("view-bench"));
   shown.capture = startCapture(by("view-capture"));
+  shown.queue = startQueue(by("view-queue"));
   shown.sessions = startSessions(by("view-sessions"));
   shown.setup = startSetup(by("view-setup"));
   by("skip").addEventListener("click", (event) => {

@@ -1,11 +1,12 @@
 // Before a capture: what to capture, the dry run, the checks and the calibrations.
 
-import { ask, askWith } from "./api.js";
+import { askWith } from "./api.js";
 import { copyButton, facts, field, gate, h, panel, say } from "./dom.js";
-import { age, bytes, digits, direction, exposure, span } from "./format.js";
+import { bytes, digits, direction, exposure, span } from "./format.js";
 import { attempt, blocked } from "./header.js";
 import { hemisphere } from "./hemisphere.js";
 import { announce, capital, complain } from "./notices.js";
+import { loaded, recordsPanel } from "./records.js";
 import { surroundings, unreachable } from "./reach.js";
 import { state, watch } from "./stream.js";
 
@@ -163,7 +164,7 @@ function captureForm() {
     say(why, reason ?? "");
     const listing = choice() === "listed";
     const lights = plan?.lights ?? (listing ? directions.map(([azimuth_deg, elevation_deg]) => ({ azimuth_deg, elevation_deg })) : []);
-    map.show({ ...surroundings(), lights: lights.map((light, i) => ({ ...light, label: i, state: "to-come" })) });
+    map.show({ ...surroundings(), lights: lights.map((light, i) => ({ ...light, label: i + 1, state: "to-come" })) });
     facts(numbers, plan ? planRows(plan) : []);
   }
 
@@ -208,24 +209,6 @@ function planRows(plan) {
   ];
 }
 
-/** A panel whose content is loaded, with a button to load it again. */
-function loaded(title, address, content) {
-  const list = h("div", { class: "loaded" });
-  const button = h("button", { type: "button", class: "quiet", onclick: () => load() }, "Check again");
-  const element = panel(title, {}, list, button);
-  async function load() {
-    gate(button, "Checking …");
-    if (!list.firstChild) list.append(h("p", { class: "fine" }, "Checking …"));
-    try {
-      list.replaceChildren(content(await ask(address)));
-    } catch (error) {
-      list.replaceChildren(h("p", { class: "error" }, `${capital(error.message)}${error.hint ? ` – ${error.hint}` : ""}`));
-    }
-    gate(button, null);
-  }
-  return { element, load };
-}
-
 const WORDS = { ok: "ok", warning: "warning", failed: "FAILED" };
 
 function checksPanel() {
@@ -241,23 +224,6 @@ function checksPanel() {
       {},
       h("ul", { class: "checks" }, bad.map(item)),
       h("details", { open: bad.length === 0 }, h("summary", {}, `${good.length} ${good.length === 1 ? "check" : "checks"} passed`), h("ul", { class: "checks" }, good.map(item))),
-    );
-  });
-}
-
-function recordsPanel() {
-  return loaded("Calibrations", "api/calibrations", ({ records = [], library }) => {
-    const row = (record) => {
-      const old = record.date ? age((Date.now() - Date.parse(record.date)) / 1000) : "–";
-      const concerns = (record.concerns ?? []).map((concern) => h("div", { class: "warn" }, typeof concern === "string" ? concern : (concern.text ?? JSON.stringify(concern))));
-      const run = record.run ? h("div", { class: "copy" }, h("code", { class: "command" }, record.run), copyButton(() => record.run, record.run)) : null;
-      return h("tr", { class: record.state }, h("th", { scope: "row" }, record.kind), h("td", {}, record.state), h("td", {}, old), h("td", {}, h("details", {}, h("summary", { "aria-label": `Details of ${record.kind}` }, "Details"), h("p", { class: "fine" }, record.summary), concerns, run)));
-    };
-    return h(
-      "div",
-      { class: "scroll", tabindex: "0", role: "group", "aria-label": "Calibration records" },
-      h("table", { class: "records" }, h("thead", {}, h("tr", {}, ["Record", "State", "Made", "What it says"].map((name) => h("th", { scope: "col" }, name)))), h("tbody", {}, records.map(row))),
-      library ? h("p", { class: "fine" }, `From ${library}.`) : null,
     );
   });
 }

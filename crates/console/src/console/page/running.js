@@ -1,6 +1,6 @@
 // During and after a capture: lights, last frame, progress, and the ways to stop.
 
-import { facts, gate, h, panel, redraw, say } from "./dom.js";
+import { by, facts, gate, h, panel, redraw, say } from "./dom.js";
 import { bytes, degrees, digits, direction, drift, exposure, span } from "./format.js";
 import { attempt, blocked, capturing } from "./header.js";
 import { hemisphere } from "./hemisphere.js";
@@ -8,6 +8,7 @@ import { histogram } from "./histogram.js";
 import { announce, capital } from "./notices.js";
 import { picture } from "./picture.js";
 import { surroundings } from "./reach.js";
+import { areOn, typing } from "./shortcuts.js";
 import { link, secondsSince, state, watch } from "./stream.js";
 import { badge } from "./verdict.js";
 
@@ -45,11 +46,12 @@ export function resumeButtons(id, name, then = () => {}) {
 /** The part of the view; `onleave` when the operator wants the next capture. */
 export function runningPart(onleave) {
   const heading = progressPanel(onleave);
+  const hands = handsPanel();
   const frame = framePanel();
   const lights = lightsPanel();
   const warnings = warningsPanel();
-  const element = h("div", { class: "stack during" }, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
-  const parts = [heading, frame, lights, warnings];
+  const element = h("div", { class: "stack during" }, hands.element, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
+  const parts = [heading, hands, frame, lights, warnings];
   const show = () => {
     for (const part of parts) part.show(state.capture, state.job);
   };
@@ -145,6 +147,42 @@ function progressPanel(onleave) {
   return { element, show, tick };
 }
 
+/** What the person at a manual stage is asked to do: confirmed by the button or the space bar. */
+function handsPanel() {
+  const what = h("p", { class: "big", role: "status" });
+  const map = hemisphere("Where to hold the lamp");
+  const answer = (done) => () => {
+    const number = state.capture?.asked?.number;
+    if (number !== undefined) attempt("api/capture/answer", { number, done });
+  };
+  const done = h("button", { type: "button", class: "primary", id: "hand-done", title: "Also by the space bar", onclick: answer(true) }, "Done");
+  const not = h("button", { type: "button", id: "hand-not", title: "Suspends the capture; it can be resumed", onclick: answer(false) }, "Not possible");
+  const element = panel("Your turn", { hidden: true, id: "hands" }, h("div", { class: "two" }, h("div", { class: "stack-form" }, what, h("div", { class: "row" }, done, not), h("p", { class: "fine" }, "The space bar is “Done”.")), map.element));
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== " " || event.repeat || event.ctrlKey || event.altKey || event.metaKey || !element.checkVisibility() || done.disabled || !areOn()) return;
+    // A control that has the focus takes the key itself.
+    if (typing(event.target) || event.target.closest?.("button, a, summary")) return;
+    event.preventDefault();
+    done.click();
+  });
+  let placed = null;
+  function show(capture) {
+    const asked = capture?.asked ?? null;
+    const focused = element.contains(document.activeElement);
+    element.hidden = asked === null || !capturing();
+    if (element.hidden && focused) by("capture-title").focus({ preventScroll: true });
+    if (element.hidden) return;
+    if (asked.do === "place") placed = asked;
+    const channels = state.console?.rig?.channels ?? [];
+    say(what, { place: () => `Hold the lamp at ${direction(asked.azimuth_deg, asked.elevation_deg)}`, "lamp-on": () => `Switch the lamp on${channels.length > 1 ? `: ${channels[asked.channel]} alone` : ""}`, "lamp-off": () => "Switch the lamp off" }[asked.do]?.() ?? asked.do);
+    map.show({ ...surroundings(), position: placed, target: asked.do === "place" ? asked : null, lamp: asked.do === "lamp-on" });
+    const reason = blocked();
+    gate(done, reason);
+    gate(not, reason);
+  }
+  return { element, show };
+}
+
 function framePanel() {
   const view = picture("Last frame of the capture", (n) => `api/frame.jpg?n=${n}`, PICTURE_MS);
   const empty = h("p", { class: "empty" }, "No frame yet.");
@@ -169,7 +207,7 @@ function framePanel() {
     counts.show(frame?.figures ?? null);
     const channels = state.console?.rig?.channels ?? [];
     facts(list, frame ? [
-      ["Frame", `light ${frame.light}, ${KINDS[frame.kind] ?? frame.kind}`],
+      ["Frame", `light ${frame.light + 1}, ${KINDS[frame.kind] ?? frame.kind}`],
       ["Lamp", frame.lamp === null || frame.lamp === undefined ? "off" : (channels[frame.lamp] ?? `channel ${frame.lamp}`)],
       ["Exposure", exposure(frame.exposure_s)],
     ] : []);
@@ -199,7 +237,7 @@ function lightsPanel() {
   const element = panel("Lights", {}, map.element, h("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Table of lights" }, table));
   function show(capture) {
     const lights = capture?.lights ?? [];
-    map.show({ ...surroundings(), lights: lights.map((light) => ({ ...pick(light), label: light.index, title: `light ${light.index}, ${direction(light.azimuth_deg, light.elevation_deg)}, ${LIGHT_STATES[light.state]}` })) });
+    map.show({ ...surroundings(), lights: lights.map((light) => ({ ...pick(light), label: light.index + 1, title: `light ${light.index + 1}, ${direction(light.azimuth_deg, light.elevation_deg)}, ${LIGHT_STATES[light.state]}` })) });
     redraw(body, lights, () => lights.map(row));
   }
   return { element, show };
@@ -218,7 +256,7 @@ function row(light) {
     light.retakes ? String(light.retakes) : "–",
     drift(light.drift_percent ?? NaN, light.drift_u_percent ?? NaN),
   ];
-  return h("tr", { class: light.state, "aria-current": light.state === "now" ? "step" : null }, h("th", { scope: "row" }, String(light.index)), cells.map((text, i) => h("td", { class: i === 1 ? "state" : null }, text)));
+  return h("tr", { class: light.state, "aria-current": light.state === "now" ? "step" : null }, h("th", { scope: "row" }, String(light.index + 1)), cells.map((text, i) => h("td", { class: i === 1 ? "state" : null }, text)));
 }
 
 function warningsPanel() {

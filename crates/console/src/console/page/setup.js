@@ -1,13 +1,14 @@
 // From boxes to a bench: the questions of `rig init` as a form, then what to calibrate.
 
 import { act, ask } from "./api.js";
-import { copyButton, gate, h, panel, say } from "./dom.js";
+import { benchesPart, take } from "./benches.js";
+import { copyButton, gate, h, panel, redraw, say } from "./dom.js";
 import { drawing } from "./drawings.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
-import { state, watch } from "./stream.js";
+import { calibrationsPanel } from "./records.js";
+import { watch } from "./stream.js";
 
-const SIMULATED = "rig console --rig simulated.toml";
 /** The parts of a bench in the order of their questions: id, heading, and which keys belong to it. */
 const SECTIONS = [
   ["name", "Name", /^name$/],
@@ -21,24 +22,23 @@ const SECTIONS = [
 
 /** Builds the view; the returned function shows and hides it. */
 export function startSetup(view) {
+  const benches = benchesPart();
+  const calibrations = calibrationsPanel();
   const questions = h("div", { class: "questions" });
   const write = h("button", { type: "submit", class: "primary", id: "write-rig" }, "Write the rig file");
   const again = h("button", { type: "button", class: "quiet", onclick: () => load(true) }, "Look for devices again");
+  const exists = h("p", { class: "why", role: "status" });
   const why = h("p", { class: "why" });
   const error = h("p", { class: "error", role: "alert" });
-  const form = h("form", { class: "stack-form" }, questions, h("div", { class: "row" }, write, again), why, error);
+  const form = h("form", { class: "stack-form" }, questions, h("div", { class: "row" }, write, again), exists, why, error);
   const result = h("div", { role: "status" });
   view.append(
     h(
       "div",
       { class: "stack narrow" },
-      panel(
-        "The simulated bench",
-        {},
-        h("p", {}, "To try everything without devices, nothing has to be set up: this command starts a console on the simulated bench."),
-        h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, SIMULATED), copyButton(() => SIMULATED, SIMULATED)),
-      ),
-      panel("A bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name, and no file is ever replaced."), form),
+      benches.element,
+      calibrations.element,
+      panel("A new bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name."), form),
       result,
     ),
   );
@@ -103,7 +103,15 @@ export function startSetup(view) {
     for (const section of questions.children) section.hidden = [...section.querySelectorAll(".question")].every((box) => box.hidden);
   }
 
+  /** A bench of this name that exists is opened for editing, not made again. */
+  function showExisting() {
+    const one = benches.known(form.elements["q-name"]?.value.trim());
+    redraw(exists, one?.rig ?? null, () => (one ? [`${one.rig} exists. `, h("button", { type: "button", class: "quiet", onclick: () => benches.edit(one.rig) }, "Edit it")] : []));
+    show();
+  }
+
   form.addEventListener("input", arrange);
+  form.addEventListener("input", showExisting);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     say(error, "");
@@ -112,6 +120,7 @@ export function startSetup(view) {
       const { file, next = [], steps = null } = await act("api/setup", { answers: answers() });
       result.replaceChildren(done(file, steps ?? next.map((command) => ({ command, purpose: null }))));
       result.scrollIntoView({ block: "nearest" });
+      await benches.load();
       announce(`${file} was written`);
     } catch (failure) {
       say(error, `${capital(failure.message)}${failure.hint ? ` – ${failure.hint}` : ""}`);
@@ -119,13 +128,15 @@ export function startSetup(view) {
     show();
   });
   function show() {
-    const reason = blocked();
+    const reason = blocked() ?? (exists.firstChild ? "A bench of this name exists." : null);
     gate(write, reason);
     say(why, reason ?? "");
   }
   watch(["control", "link"], show);
   return (on) => {
     if (on) load(false);
+    if (on) benches.load();
+    if (on) calibrations.load();
     show();
   };
 }
@@ -187,13 +198,10 @@ function control(question, about, value) {
 
 /** The file that was written, and what comes next, in order. */
 function done(file, steps) {
-  const start = `rig console --rig ${file}`;
   return panel(
     "Written",
     {},
-    h("p", {}, h("code", {}, file)),
-    h("p", {}, `This console still works with ${state.console?.rig?.file ?? "the rig that it began with"}. To use the new file, end it (Ctrl-C at its terminal) and start it by`),
-    h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, start), copyButton(() => start, start)),
+    h("div", { class: "row" }, h("p", {}, h("code", {}, file)), h("button", { type: "button", class: "primary", onclick: () => take(file) }, "Use this bench")),
     h("h4", {}, "What to calibrate next, in this order"),
     h("ol", { class: "steps" }, steps.map(({ command, purpose }) => h("li", {}, purpose ? h("p", {}, capital(purpose)) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, command), copyButton(() => command, command))))),
   );

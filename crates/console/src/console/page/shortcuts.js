@@ -5,6 +5,7 @@ import { by, h } from "./dom.js";
 const KEYS = [
   ["b", "Bench", () => go("#bench")],
   ["c", "Capture", () => go("#capture")],
+  ["q", "Queue", () => go("#queue")],
   ["s", "Sessions", () => go("#sessions")],
   ["u", "Set-up", () => go("#setup")],
   ["/", "Search the sessions", search],
@@ -23,7 +24,7 @@ function search() {
 }
 
 /** Single keys can be turned off: speech and tremor type them unasked. */
-function areOn() {
+export function areOn() {
   return localStorage.getItem(SETTING) !== "off";
 }
 
@@ -48,7 +49,7 @@ function open() {
 }
 
 /** Where a key is text, or acts on the control that has the focus. */
-function typing(target) {
+export function typing(target) {
   return target.closest?.("input, select, textarea, [role=application], [contenteditable]") !== null;
 }
 

@@ -121,6 +121,18 @@ impl Server {
         })
     }
 
+    /// The same address, for the server that comes after this one; nobody is turned away between.
+    ///
+    /// # Errors
+    /// If the system has no file descriptors left.
+    pub fn again(&self) -> std::io::Result<Self> {
+        Ok(Self {
+            listener: self.listener.try_clone()?,
+            address: self.address,
+            gate: self.gate.clone(),
+        })
+    }
+
     /// Where it listens.
     pub fn socket_address(&self) -> SocketAddr {
         self.address

@@ -31,6 +31,7 @@ const FILES: &[(&str, &str)] = files![
     "capture.js",
     "prepare.js",
     "running.js",
+    "queue.js",
     "sessions.js",
     "session.js",
     "compare.js",
@@ -38,9 +39,11 @@ const FILES: &[(&str, &str)] = files![
     "work.js",
     "shortcuts.js",
     "setup.js",
+    "benches.js",
     "drawings.js",
     "verdict.js",
     "reach.js",
+    "records.js",
 ];
 
 /// The kind of a file by its ending.

@@ -3,6 +3,7 @@
 use crate::report::ProvenanceGroup;
 use crate::session::Session;
 use crate::session::drift::{LampChange, NOTABLE, Span};
+use crate::shown::nth;
 
 /// The lamp's changes within each light and over the session, channel by channel.
 pub(super) fn group(session: &Session) -> ProvenanceGroup {
@@ -23,10 +24,13 @@ pub(super) fn group(session: &Session) -> ProvenanceGroup {
     for light in 0..plan.lights.len() as u32 {
         let of_light = |change: &&LampChange| change.span == Span::WithinLight(light);
         let changes = channels(drift.changes.iter().filter(of_light));
-        entries.push((format!("During light {light}"), changes));
+        entries.push((
+            format!("During {light}", light = nth("light", light)),
+            changes,
+        ));
     }
     if plan.revisit_first {
-        let second_visit = "Between light 0 and its second visit".to_owned();
+        let second_visit = "Between light 1 and its second visit".to_owned();
         entries.push((second_visit, channels(drift.over_session())));
     }
     ProvenanceGroup {

@@ -8,6 +8,7 @@ use super::widget::{Label, SLOTS, START, message, packet, serial_number, take_me
 use crate::device::DeviceError;
 use crate::device::guardian::Exchange;
 use crate::device::serial_line::SerialLine;
+use crate::shown::nth;
 
 /// An open interface with the addresses of its lights.
 pub struct DmxPort {
@@ -59,7 +60,7 @@ impl DmxPort {
             let level = slot
                 .and_then(|slot| levels.get_mut(slot.checked_sub(1)?))
                 .ok_or_else(|| {
-                    let light = format!("light {}, channel {}", lit.light, lit.channel);
+                    let light = format!("{}, channel {}", nth("light", lit.light), lit.channel);
                     self.line.refused(&light, "it has no address from 1 to 512")
                 })?;
             *level = lit.level;

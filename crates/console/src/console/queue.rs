@@ -1,0 +1,394 @@
+//! Many samples one after the other: the list, what is next, what became of each. The list and
+//! the journal are those of `rig capture --queue`, so that either goes on where the other stopped.
+//!
+//! The queue is opened for each request alone. What a capture or a fit has come to meanwhile it
+//! finds in the sessions.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use axum::Json;
+use axum::Router;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::routing::{get, post};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::blocking::blocking;
+use super::control::Controlled;
+use super::jobs::{Jobs, Kind, Work, capture, option, without_fit};
+use super::refusal::{Accepted, Refusal, accepted};
+use super::request::Asked;
+use crate::capture::prepare::Lights;
+use crate::queue::{Queue, QueueError, Sample, SampleList, Step};
+use crate::session::layout::is_sample_name;
+use rig_core::{outside_table, whole_file};
+
+/// The list of samples in the console's folder.
+pub const LIST_FILE: &str = "samples.toml";
+
+impl From<QueueError> for Refusal {
+    fn from(error: QueueError) -> Self {
+        let hint = match &error {
+            QueueError::Locked { .. } => "a queue at the terminal is at work: end it there with q",
+            QueueError::Taken(_) => "add it all the same if it is the same sample",
+            QueueError::List(_) => "correct the list in an editor",
+            _ => return Refusal::conflict(error.to_string()),
+        };
+        Refusal::conflict(error.to_string()).hint(hint.to_owned())
+    }
+}
+
+/// The queue; `None` without a list.
+fn opened(jobs: &Jobs) -> Result<Option<Queue>, Refusal> {
+    let list = Path::new(LIST_FILE);
+    match list.symlink_metadata() {
+        Ok(_) => Ok(Some(Queue::open(list, &jobs.program().folder)?)),
+        Err(_) => Ok(None),
+    }
+}
+
+fn needed(jobs: &Jobs) -> Result<Queue, Refusal> {
+    opened(jobs)?.ok_or_else(|| Refusal::conflict("there is no list of samples yet"))
+}
+
+/// Name of a session's folder.
+fn name_of(session: &Path) -> String {
+    let name = session.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+/// The whole queue as pages show it.
+fn shown(queue: &Queue) -> Value {
+    let rows = queue.samples().iter().map(|sample| {
+        let runs = queue.entries().iter();
+        let runs = runs.filter(|run| run.sample == sample.name);
+        json!({
+            "sample": sample.name,
+            "material": sample.material,
+            "comment": sample.comment,
+            "planned": queue.planned(sample),
+            "left": queue.left_of(sample),
+            "left_out": queue.left_out(sample),
+            "sessions": runs.collect::<Vec<_>>(),
+        })
+    });
+    let next = match queue.step() {
+        Step::Resume { sample, session } => {
+            json!({"step": "resume", "sample": sample, "session": name_of(&session)})
+        }
+        Step::Fit { session } => json!({"step": "fit", "session": name_of(&session)}),
+        Step::Capture { sample, run, of } => json!({
+            "step": "capture", "sample": sample.name, "run": run, "of": of,
+            "material": sample.material, "comment": sample.comment,
+        }),
+        Step::End => json!({"step": "end"}),
+    };
+    json!({
+        "rows": rows.collect::<Vec<_>>(),
+        "next": next,
+        "left": queue.left(),
+        "last": queue.last(),
+    })
+}
+
+/// The addresses of the queue.
+pub fn routes(jobs: Jobs) -> Router {
+    Router::new()
+        .route("/api/queue", get(list))
+        .route("/api/queue/add", post(add))
+        .route("/api/queue/next", post(next))
+        .route("/api/queue/skip", post(skip))
+        .route("/api/queue/back", post(back))
+        .route("/api/queue/again", post(again))
+        .with_state(jobs)
+}
+
+type Shown = Result<Json<Value>, Refusal>;
+
+async fn list(State(jobs): State<Jobs>) -> Shown {
+    let queue = blocking(move || Ok::<_, Refusal>(opened(&jobs)?.as_ref().map(shown))).await??;
+    let empty = || json!({"rows": [], "next": {"step": "end"}, "left": 0, "last": null});
+    Ok(Json(queue.unwrap_or_else(empty)))
+}
+
+#[derive(Deserialize)]
+struct Added {
+    /// A table with a header, or names, one a line.
+    text: String,
+    /// Samples may have sessions in the folder from before.
+    #[serde(default)]
+    again: bool,
+}
+
+async fn add(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Added>) -> Shown {
+    let done = move || {
+        let samples = samples_in(&form.text)?;
+        append(&jobs, &samples, form.again)?;
+        Ok::<_, Refusal>(shown(&needed(&jobs)?))
+    };
+    Ok(Json(blocking(done).await??))
+}
+
+/// A sample as a table names it: name, material, comment, repeats.
+type Named = [String; 4];
+
+/// The samples of a table (comma, semicolon or tab): its first row may name the columns `name`
+/// or `sample`, `material`, `comment` and `repeats`; else they stand in this order.
+fn samples_in(text: &str) -> Result<Vec<Named>, Refusal> {
+    let unfit = |fact: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact);
+    let mut rows = outside_table::rows(text).map_err(|error| unfit(error.to_string()))?;
+    let mut columns = [Some(0), Some(1), Some(2), Some(3)];
+    if let Some(head) = rows.first()
+        && let Some(name) = head.column("name").or_else(|| head.column("sample"))
+    {
+        let others = ["material", "comment", "repeats"].map(|name| head.column(name));
+        columns = [Some(name), others[0], others[1], others[2]];
+        rows.remove(0);
+    }
+    let field = |row: &outside_table::Row, column: Option<usize>| {
+        column.map_or(String::new(), |column| row.field(column).trim().to_owned())
+    };
+    let samples = rows
+        .iter()
+        .map(|row| columns.map(|column| field(row, column)));
+    let samples: Vec<Named> = samples.filter(|named| !named[0].is_empty()).collect();
+    if samples.is_empty() {
+        return Err(unfit("no sample is named".to_owned()));
+    }
+    for [name, .., repeats] in &samples {
+        if !is_sample_name(name) {
+            let hint = "1 to 64 letters, digits, dots, hyphens or underscores, the first a letter or digit";
+            return Err(unfit(format!("{name:?} is no name of a sample")).hint(hint.to_owned()));
+        }
+        if !repeats.is_empty() && repeats.parse::<u8>().is_err() {
+            return Err(unfit(format!(
+                "{name}: {repeats:?} is no number of repeats"
+            )));
+        }
+    }
+    Ok(samples)
+}
+
+/// Adds the samples at the end of the list, whose text otherwise stays as it is.
+fn append(jobs: &Jobs, samples: &[Named], again: bool) -> Result<(), Refusal> {
+    let path = Path::new(LIST_FILE);
+    let before = match std::fs::symlink_metadata(path) {
+        Ok(_) => rig_core::outside_file::read_text(path, 1 << 20)
+            .map_err(|error| Refusal::conflict(format!("{LIST_FILE}: {error}")))?,
+        Err(_) => String::new(),
+    };
+    let mut text = before.clone();
+    for [name, material, comment, repeats] in samples {
+        let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
+        let gap = if text.is_empty() { "" } else { "\n" };
+        let _ = write!(text, "{gap}[[sample]]\nname = {}\n", quoted(name));
+        for (key, value) in [("material", material), ("comment", comment)] {
+            if !value.is_empty() {
+                let _ = writeln!(text, "{key} = {}", quoted(value));
+            }
+        }
+        if !repeats.is_empty() {
+            let _ = writeln!(text, "repeats = {repeats}");
+        }
+        if again {
+            text += "again = true\n";
+        }
+    }
+    let write = |text: &str| {
+        whole_file::replace(path, |out| out.write_all(text.as_bytes()))
+            .map_err(|error| Refusal::failed(format!("{LIST_FILE}: {error}")))
+    };
+    write(&text)?;
+    // A name that is taken, or a note that is too long: the list stays as it was.
+    let checked = SampleList::read(path, |_| None).map(drop);
+    let opened = checked.and_then(|()| Queue::open(path, &jobs.program().folder).map(drop));
+    match opened {
+        Err(error) if !matches!(error, QueueError::Locked { .. }) => {
+            match before.is_empty() {
+                true => drop(std::fs::remove_file(path)),
+                false => write(&before)?,
+            }
+            Err(error.into())
+        }
+        _ => Ok(()),
+    }
+}
+
+#[derive(Deserialize)]
+struct Next {
+    /// Of samples that name none, as `--lights` takes it.
+    lights: String,
+    fit: Option<bool>,
+    /// An interrupted capture is left as it is, or a session without a fit, instead.
+    #[serde(default)]
+    leave: bool,
+}
+
+/// Carries out the next step.
+async fn next(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Next>) -> Accepted {
+    let own = jobs.clone();
+    let work = blocking(move || step(&own, &form)).await??;
+    match work {
+        Some(work) => capture(jobs, work).await,
+        None => accepted(json!({})),
+    }
+}
+
+/// The job of the next step; `None` where there is none to do.
+fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
+    if let Some(kind) = jobs.running() {
+        return Err(Refusal::conflict(format!("{} is running", kind.what())));
+    }
+    if let Err(fact) = form.lights.parse::<Lights>() {
+        let status = StatusCode::UNPROCESSABLE_ENTITY;
+        return Err(Refusal::new(status, format!("lights: {fact}")));
+    }
+    let mut queue = needed(jobs)?;
+    let program = jobs.program();
+    let work = match queue.step() {
+        Step::End => return Err(Refusal::conflict("all samples are done")),
+        Step::Resume { session, .. } if form.leave => {
+            queue.abandon(&name_of(&session))?;
+            return Ok(None);
+        }
+        Step::Fit { session } if form.leave || form.fit == Some(false) => {
+            queue.done(&name_of(&session), None, None)?;
+            return Ok(None);
+        }
+        Step::Fit { session } => Work {
+            session: Some(name_of(&session)),
+            ..Work::new(Kind::Fit, vec!["fit".into(), session.into()])
+        },
+        Step::Resume { session, .. } => {
+            let mut arguments = vec!["capture".into(), option("--resume=", &session)];
+            arguments.extend(without_fit(form.fit));
+            Work {
+                hidden: vec!["--events".into()],
+                session: Some(name_of(&session)),
+                ..Work::new(Kind::Capture, arguments)
+            }
+        }
+        Step::Capture { sample, .. } => {
+            let mut arguments = vec!["capture".into(), option("--rig=", &program.rig)];
+            arguments.push(option("--out=", &program.folder));
+            arguments.push(option("--sample=", &sample.name));
+            arguments.extend(lights_of(&sample, &form.lights));
+            let notes = [
+                ("--material=", &sample.material),
+                ("--comment=", &sample.comment),
+            ];
+            arguments.extend(
+                notes
+                    .into_iter()
+                    .filter_map(|(name, note)| Some(option(name, note.as_ref()?))),
+            );
+            arguments.extend(without_fit(form.fit));
+            queue.next(&sample.name)?;
+            Work {
+                hidden: vec!["--events".into()],
+                ..Work::new(Kind::Capture, arguments)
+            }
+        }
+    };
+    Ok(Some(work))
+}
+
+/// The sample's lights as options, else these.
+fn lights_of(sample: &Sample, others: &str) -> Vec<std::ffi::OsString> {
+    let lights = |text: &str| vec![option("--lights=", text)];
+    match &sample.lights {
+        None => lights(others),
+        Some(Lights::Count(count)) => lights(&count.to_string()),
+        Some(Lights::All) => lights("all"),
+        Some(Lights::Best(count)) => lights(&format!("best:{count}")),
+        Some(Lights::Listed(listed)) => listed
+            .iter()
+            .map(|at| {
+                option(
+                    "--light=",
+                    format!("{},{}", at.azimuth_deg, at.elevation_deg),
+                )
+            })
+            .collect(),
+    }
+}
+
+#[derive(Deserialize)]
+struct OfSample {
+    sample: String,
+    #[serde(default)]
+    reason: Option<String>,
+}
+
+/// Changes what the queue has of a listed sample.
+async fn of_sample(
+    jobs: Jobs,
+    sample: String,
+    change: impl FnOnce(&mut Queue, &str) -> Result<(), QueueError> + Send + 'static,
+) -> Shown {
+    let done = move || {
+        let mut queue = needed(&jobs)?;
+        if !queue.samples().iter().any(|listed| listed.name == sample) {
+            return Err(Refusal::missing("there is no such sample in the list"));
+        }
+        change(&mut queue, &sample)?;
+        Ok(shown(&queue))
+    };
+    Ok(Json(blocking(done).await??))
+}
+
+async fn skip(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<OfSample>) -> Shown {
+    let reason = form.reason.map(|reason| rig_core::shown::line(&reason));
+    let reason = reason.filter(|reason| !reason.is_empty());
+    of_sample(jobs, form.sample, move |queue, name| {
+        queue.leave_out(name, reason.as_deref())
+    })
+    .await
+}
+
+async fn back(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<OfSample>) -> Shown {
+    of_sample(jobs, form.sample, |queue, name| queue.take_back(name)).await
+}
+
+async fn again(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Shown {
+    let done = move || {
+        let mut queue = needed(&jobs)?;
+        queue.again()?;
+        Ok::<_, Refusal>(shown(&queue))
+    };
+    Ok(Json(blocking(done).await??))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_or_a_scanner_names_samples() {
+        let names = |text: &str| -> Result<Vec<String>, String> {
+            let samples = samples_in(text).map_err(|refusal| refusal.error)?;
+            Ok(samples.iter().map(|named| named.join("|")).collect())
+        };
+        for (text, expected) in [
+            ("cup", &["cup|||"][..]),
+            ("cup\nbowl-7\n", &["cup|||", "bowl-7|||"]),
+            ("a,red paint,matte,3", &["a|red paint|matte|3"]),
+            (
+                "Comment;Name;Repeats\nx;cup;2\n;jar;\n",
+                &["cup||x|2", "jar|||"],
+            ),
+            ("sample\tmaterial\ncup\t\"red, new\"\n", &["cup|red, new||"]),
+        ] {
+            assert_eq!(
+                names(text).as_deref(),
+                Ok(&expected.iter().map(|s| s.to_string()).collect::<Vec<_>>()[..]),
+                "{text}"
+            );
+        }
+        for bad in ["", "name\n", "a b", "-x", "cup,,,many", "../x"] {
+            assert!(names(bad).is_err(), "{bad}");
+        }
+    }
+}
