@@ -194,6 +194,9 @@ mod tests {
         );
         for other in [
             "kind = \"cap\"",
+            "kind = \"cap\"\nopening_deg = 60",
+            "kind = \"ridge\"",
+            "kind = \"ridge\"\nform = \"extruded\"\nlength_mm = 20",
             "kind = \"designed\"\nlength_mm = 3",
             "kind = \"tetrahedron\"\ndepth_mm = 3",
             "kind = \"groove\"\nwidth_mm = 3",
