@@ -94,7 +94,7 @@ const CASES: &[Case] = &[
         name: "unknown rig name",
         args: &["doctor", "--rig", "simulate"],
         change: None,
-        fact: "there is no rig named \"simulate\"; known: dmx-dome-v4l2, grbl-arm-v4l2, rehearsal-ball, rehearsal-flat, rehearsal-tile, rehearsal-torch, simulated, simulated-5mp-bayer, zaber-gantry-v4l2",
+        fact: "there is no rig named \"simulate\"; known: dmx-dome-v4l2, grbl-arm-tilted, grbl-arm-v4l2, rehearsal-ball, rehearsal-flat, rehearsal-tile, rehearsal-torch, simulated, simulated-5mp-bayer, simulated-ball, simulated-tilted, zaber-gantry-v4l2",
         hint: "did you mean `simulated`?",
     },
     Case {
