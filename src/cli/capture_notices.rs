@@ -15,6 +15,9 @@ use crate::config::RigConfig;
 const CHANGED_ON_PURPOSE: &str =
     ", or remove the record's line `checksum` if it was changed on purpose";
 
+/// What to do about light that goes straight into the lens.
+const BAFFLE: &str = "a baffle must keep each out of the lens and leave the sample in its light: a black card beside the sample, outside the image, in whose shadow the lens lies";
+
 /// Shows notices as they come: warnings, and a spinner while directions are compared.
 pub(super) struct Terminal<'a> {
     context: &'a Context,
@@ -81,6 +84,18 @@ pub(super) fn described(notice: &Notice<'_>) -> (String, Option<String>) {
             ),
             Some(format!("set it to {:.0}", needed_s.ceil())),
         ),
+        Notice::TowardsLens { lights } => {
+            let each = lights
+                .iter()
+                .map(|(light, angles, off_deg)| format!("light {light} ({angles}) {off_deg:.0}°"));
+            let each = each.collect::<Vec<_>>().join(", ");
+            (
+                format!(
+                    "lights from behind the sample, by their angle to the camera's axis: {each}"
+                ),
+                Some(BAFFLE.to_owned()),
+            )
+        }
         Notice::File(remark) => (remark.to_string(), None),
         Notice::View { concern, seen } => (preflight::fact(concern, seen), None),
         Notice::Blur { blur, limit_px } => (

@@ -3,7 +3,7 @@
 
 use super::context::Context;
 use super::error::CliError;
-use crate::capture::directions::plan_order;
+use crate::capture::directions::{Aim, plan_order};
 use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
 use crate::config::scene::SceneFile;
@@ -48,8 +48,8 @@ pub(super) struct Remedied {
 /// fail to be a concern.
 pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
     let reach = StageReach::of_rig(config)?;
-    let coaxial = config.geometry.coaxial();
-    let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
+    let aim = Aim::of(&config.geometry);
+    let lights = plan_order(&reach, aim, LIGHTS_LOOKED_AT, 0.0);
     let scene = config.geometry.scene(&lights)?;
     let seen = Visibility::of(&scene);
     let mut concerns = seen.concerns();

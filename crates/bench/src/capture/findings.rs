@@ -55,6 +55,13 @@ pub enum Notice<'a> {
         /// `capture.blur_limit_px`, pixels.
         limit_px: f64,
     },
+    /// Planned lights that shine towards the camera: more than 90° from its axis, as seen from
+    /// the sample.
+    TowardsLens {
+        /// Their places in the plan, their directions and their angles to the camera's axis,
+        /// degrees.
+        lights: Vec<(usize, StageAngles, f64)>,
+    },
     /// So many light directions are compared now, which takes a while.
     Comparing {
         /// How many.
