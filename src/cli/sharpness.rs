@@ -21,8 +21,13 @@ pub(super) const REMEDY: &str = "stop the lens down, or focus on the middle of t
 /// The blur at both ends of the sample's depth.
 pub(super) fn ends(found: &DepthOfField) -> String {
     let [low, high] = found.ends;
+    // Before a tilted camera, nearest and farthest point are neither the lowest nor the highest.
+    let between = match found.worst.disc_px > 1.05 * low.disc_px.max(high.disc_px) {
+        true => format!(", and by up to {:.2} px elsewhere", found.worst.disc_px),
+        false => String::new(),
+    };
     format!(
-        "the sample is blurred by {:.2} px at {:.2} mm and by {:.2} px at {:.2} mm",
+        "the sample is blurred by {:.2} px at {:.2} mm and by {:.2} px at {:.2} mm{between}",
         low.disc_px, low.height_mm, high.disc_px, high.height_mm
     )
 }

@@ -234,7 +234,10 @@ impl Draft {
         );
         out.key(
             "up",
-            "[0.0, 1.0, 0.0]",
+            match self.camera_tilt_deg {
+                0.0 => "[0.0, 1.0, 0.0]",
+                _ => "[0.0, 0.0, 1.0]",
+            },
             "The direction that is up in the image.",
         );
         match self.lens {
