@@ -92,12 +92,12 @@ pub struct CaptureArgs {
 }
 
 impl CaptureArgs {
-    /// `--rig simulated --lights COUNT --out OUT`, with or without `--events`; the end names
+    /// `--rig RIG --lights COUNT --out OUT`, with or without `--events`; the end names
     /// what a newcomer may try next.
-    pub fn on_simulated_rig(count: usize, out: PathBuf, events: bool) -> Self {
+    pub fn on_simulated_rig(rig: &str, count: usize, out: PathBuf, events: bool) -> Self {
         Self {
             rig: RigArg {
-                rig: Some("simulated".to_owned()),
+                rig: Some(rig.to_owned()),
             },
             lights: Some(Lights::Count(count)),
             light: Vec::new(),

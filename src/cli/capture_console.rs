@@ -42,14 +42,15 @@ impl ConsoleOptions {
         console::run_with_capture(arguments_of_child(arguments), &listen, context)
     }
 
-    /// Likewise for `rig demo`, which is a capture of so many lights on the simulated rig.
+    /// Likewise for `rig demo`, which is a capture of so many lights on this simulated rig.
     pub(super) fn run_demo(
         &self,
         arguments: impl IntoIterator<Item = OsString>,
+        rig: &str,
         lights: usize,
         context: &Context,
     ) -> Result<(), CliError> {
-        self.run(capture_of_demo(arguments, lights), context)
+        self.run(capture_of_demo(arguments, rig, lights), context)
     }
 }
 
@@ -58,28 +59,39 @@ impl ConsoleOptions {
 fn arguments_of_child(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     /// Options of the server, all of which take a value.
     const OF_THE_SERVER: [&str; 3] = ["--listen", "--port", "--host-name"];
-    let mut kept = Vec::new();
-    let mut arguments = arguments.into_iter();
-    while let Some(argument) = arguments.next() {
-        let name = name_of(&argument);
-        if name == "--console" {
-            kept.push("--events".into());
-        } else if OF_THE_SERVER.iter().any(|option| name == *option) {
-            if name == argument {
-                arguments.next();
-            }
-        } else {
-            kept.push(argument);
+    let mut kept = without(arguments, &OF_THE_SERVER);
+    for argument in &mut kept {
+        if argument == "--console" {
+            *argument = "--events".into();
         }
     }
     kept
 }
 
-fn capture_of_demo(arguments: impl IntoIterator<Item = OsString>, lights: usize) -> Vec<OsString> {
-    let mut arguments: Vec<_> = arguments.into_iter().collect();
+/// Arguments without these options, each of which takes a value.
+fn without(arguments: impl IntoIterator<Item = OsString>, options: &[&str]) -> Vec<OsString> {
+    let mut kept = Vec::new();
+    let mut arguments = arguments.into_iter();
+    while let Some(argument) = arguments.next() {
+        let name = name_of(&argument);
+        if !options.iter().any(|option| name == *option) {
+            kept.push(argument);
+        } else if name == argument {
+            arguments.next();
+        }
+    }
+    kept
+}
+
+fn capture_of_demo(
+    arguments: impl IntoIterator<Item = OsString>,
+    rig: &str,
+    lights: usize,
+) -> Vec<OsString> {
+    let mut arguments = without(arguments, &["--bench"]);
     if let Some(at) = arguments.iter().position(|argument| argument == "demo") {
         let lights = lights.to_string();
-        let capture = ["capture", "--rig", "simulated", "--lights", &lights];
+        let capture = ["capture", "--rig", rig, "--lights", &lights];
         arguments.splice(at..=at, capture.map(OsString::from));
     }
     arguments
@@ -101,7 +113,7 @@ mod tests {
     fn the_child_gets_the_same_capture_without_the_console() {
         let of = |line: &str| {
             let given = line.split(' ').map(OsString::from);
-            let arguments = arguments_of_child(capture_of_demo(given, 4));
+            let arguments = arguments_of_child(capture_of_demo(given, "simulated", 4));
             let words: Vec<_> = arguments
                 .iter()
                 .map(|word| word.to_str().unwrap())
@@ -122,7 +134,7 @@ mod tests {
                 "capture --events --out=--port --lights 2",
             ),
             (
-                "--quiet demo --out demo --console --port=1",
+                "--quiet demo --bench tilted --out demo --console --port=1",
                 "--quiet capture --rig simulated --lights 4 --out demo --events",
             ),
         ] {

@@ -13,6 +13,9 @@ use crate::capture::findings::Notice;
 const CHANGED_ON_PURPOSE: &str =
     ", or remove the record's line `checksum` if it was changed on purpose";
 
+/// What to do about light that goes straight into the lens.
+const BAFFLE: &str = "a baffle must keep each out of the lens and leave the sample in its light: a black card beside the sample, outside the image, in whose shadow the lens lies";
+
 /// Shows notices as they come: warnings, and a spinner while directions are compared.
 pub(super) struct Terminal<'a> {
     context: &'a Context,
@@ -64,6 +67,7 @@ fn remedy(notice: &Notice<'_>) -> Option<String> {
         Notice::Temperature(_) => {
             Some("let the camera warm up as it had then, or calibrate anew".to_owned())
         }
+        Notice::TowardsLens { .. } => Some(BAFFLE.to_owned()),
         Notice::WarmUp { needed_s, .. } => Some(for_warm_up(*needed_s)),
         Notice::Blur { .. } => Some(FOR_BLUR.to_owned()),
     }

@@ -20,7 +20,7 @@ pub struct ShapeArgs {
     /// What --inspect finds, as JSON
     #[arg(long, requires = "inspect")]
     json: bool,
-    /// Radius, mm, 0.001 to 10000: of the sphere, of the base's corners, of the convex arc, of the groove's middle
+    /// Radius, mm, 0.001 to 10000: of the sphere, of the base's corners, of the convex arc, of the groove's middle, of the ridge's rim
     #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = within(1e-3f32, 1e4))]
     radius: f32,
     /// Depth, mm: of a corner below its rim, -10000 to 10000, negative for a convex one (tetrahedron; default 7.071); of a V groove, 0.001 to 10000 (default: half the width, which makes it right-angled)
@@ -32,10 +32,16 @@ pub struct ShapeArgs {
     /// Where the designed arc's partner on the wall ends, degrees, 30 to 60 (designed)
     #[arg(long, value_name = "DEG", default_value_t = 45.0, value_parser = within(30.0f32, 60.0))]
     phi_min: f32,
+    /// Angle from the axis to the rim, seen from the sphere's centre, degrees, 5 to 170 (cap)
+    #[arg(long, value_name = "DEG", default_value_t = 90.0, value_parser = within(5.0f32, 170.0))]
+    opening: f32,
     /// Revolved about z instead of extruded along y (designed)
     #[arg(long)]
     revolved: bool,
-    /// Length along y, mm, 0.001 to 10000 (designed, extruded)
+    /// Extruded along y instead of revolved about z (ridge)
+    #[arg(long)]
+    extruded: bool,
+    /// Length along y, mm, 0.001 to 10000 (designed and ridge, extruded)
     #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = within(1e-3f32, 1e4))]
     length: f32,
     /// Width between the rims, mm, 0.001 to less than twice the radius (groove)
@@ -58,7 +64,7 @@ enum Kind {
     Bowl,
     /// A whole sphere
     Sphere,
-    /// The upper half of a sphere
+    /// The upper part of a sphere, half of it without --opening
     Cap,
     /// Three facets that meet in a point: the corner of a room, or a pyramid
     Tetrahedron,
@@ -66,6 +72,8 @@ enum Kind {
     Designed,
     /// A groove around the axis, as a lathe cuts it
     Groove,
+    /// A convex ridge within a concave moat, for a tilted camera
+    Ridge,
 }
 
 #[derive(clap::ValueEnum, Debug, Clone, Copy)]
@@ -97,6 +105,7 @@ impl ShapeArgs {
             },
             Kind::Cap => Shape::Cap {
                 radius_mm,
+                opening_deg: self.opening,
                 segments,
             },
             Kind::Tetrahedron => Shape::Tetrahedron {
@@ -111,6 +120,16 @@ impl ShapeArgs {
                     Form::Revolved
                 } else {
                     Form::Extruded
+                },
+                length_mm: self.length,
+                segments,
+            },
+            Kind::Ridge => Shape::Ridge {
+                radius_mm,
+                form: if self.extruded {
+                    Form::Extruded
+                } else {
+                    Form::Revolved
                 },
                 length_mm: self.length,
                 segments,

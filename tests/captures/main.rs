@@ -22,3 +22,4 @@ mod queue;
 mod resume;
 mod run;
 mod session_faults;
+mod tilted;

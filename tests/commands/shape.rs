@@ -20,6 +20,9 @@ fn every_kind_is_written_with_its_figures() {
         ("bowl", "a.obj", false),
         ("sphere --segments 32", "a.ply", false),
         ("cap", "a.stl", false),
+        ("cap --opening 60", "a.stl", false),
+        ("ridge", "a.ply", false),
+        ("ridge --extruded --length 20", "a.obj", false),
         ("tetrahedron --depth -3", "a.stl", false),
         ("designed --segments 512", "b.PLY", true),
         ("groove --width 4", "b.obj", false),
@@ -54,6 +57,7 @@ fn values_out_of_range_and_unusable_places_are_refused() {
         bowl --segments 10 --out a.ply | not a multiple of 4 in 8 to 4096
         bowl --radius nan --out a.ply | not a number in 0.001 to 10000
         designed --offset 3 --out a.ply | not a number in 0 to 2
+        cap --opening 180 --out a.ply | not a number in 5 to 170
         groove --width 20 --out a.ply | --width is 20, allowed is less than twice
         groove --profile vee --depth -1 --out a.ply | --depth is -1
         bowl --out a.step | does not end in .ply, .obj or .stl

@@ -27,6 +27,23 @@ pub fn shipped_workplace(change: impl FnOnce(String) -> String) -> TempDir {
     quick_bench(include_str!("../../rig-configs/simulated.toml"), change)
 }
 
+/// The bench of a rig file with a tilted camera, likewise small and quick.
+pub fn tilted_workplace(text: &str) -> TempDir {
+    let small = [
+        ("name = \"simulated-tilted\"", "name = \"simulated\""),
+        ("name = \"simulated-ball\"", "name = \"simulated\""),
+        ("resolution_px = [640, 480]", "resolution_px = [64, 64]"),
+        ("extent_mm = [24.0, 18.0]", "extent_mm = [22.0, 22.0]"),
+        ("point_spread_px = 0.5", "point_spread_px = 0.0"),
+    ];
+    let text = (small.iter()).fold(text.to_owned(), |text, (old, new)| text.replace(old, new));
+    let folder = quick_bench(&text, |text| {
+        text.replace("segments = 32", "segments = 192")
+    });
+    small_bench::put_records(folder.path());
+    folder
+}
+
 fn quick_bench(text: &str, change: impl FnOnce(String) -> String) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let (before, simulation) = text.split_once("[simulation]").unwrap();

@@ -48,6 +48,7 @@ fn with_segments(shape: &Shape, wanted: Option<u32>) -> Shape {
             | Shape::Sphere { segments, .. }
             | Shape::Cap { segments, .. }
             | Shape::Groove { segments, .. }
+            | Shape::Ridge { segments, .. }
             | Shape::Designed { segments, .. } => *segments = wanted.next_multiple_of(4),
             Shape::Tetrahedron { .. } => {}
         }

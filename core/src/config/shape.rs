@@ -22,6 +22,7 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
                 ("tetrahedron", 3),
                 ("designed", 4),
                 ("groove", 5),
+                ("ridge", 6),
             ],
         )?
         .required()?;
@@ -37,6 +38,7 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
         },
         2 => Shape::Cap {
             radius_mm,
+            opening_deg: table.number("opening_deg", 5.0..=170.0)?.or(90.0) as f32,
             segments: segments(&mut table)?,
         },
         3 => Shape::Tetrahedron {
@@ -44,18 +46,22 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
             depth_mm: table.number("depth_mm", -1e4..=1e4)?.required()? as f32,
         },
         4 => {
-            let form = [("extruded", Form::Extruded), ("revolved", Form::Revolved)];
-            let form = table.choice("form", &form)?.or(Form::Extruded);
-            let length_mm = table.number("length_mm", LENGTH_MM)?;
+            let (form, length_mm) = swept(&mut table, Form::Extruded)?;
             Shape::Designed {
                 radius_mm,
                 offset: table.number("offset", 0.0..=2.0)?.or(0.5) as f32,
                 phi_min_deg: table.number("phi_min_deg", 30.0..=60.0)?.or(45.0) as f32,
                 form,
-                length_mm: match form {
-                    Form::Extruded => length_mm.required()? as f32,
-                    Form::Revolved => length_mm.or(0.0) as f32,
-                },
+                length_mm,
+                segments: segments(&mut table)?,
+            }
+        }
+        6 => {
+            let (form, length_mm) = swept(&mut table, Form::Revolved)?;
+            Shape::Ridge {
+                radius_mm,
+                form,
+                length_mm,
                 segments: segments(&mut table)?,
             }
         }
@@ -63,6 +69,18 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
     };
     table.finish()?;
     Ok(shape)
+}
+
+/// How a profile is swept, and how far.
+fn swept(table: &mut Section, usual: Form) -> Result<(Form, f32), ConfigError> {
+    let form = [("extruded", Form::Extruded), ("revolved", Form::Revolved)];
+    let form = table.choice("form", &form)?.or(usual);
+    let length_mm = table.number("length_mm", LENGTH_MM)?;
+    let length_mm = match form {
+        Form::Extruded => length_mm.required()?,
+        Form::Revolved => length_mm.or(0.0),
+    };
+    Ok((form, length_mm as f32))
 }
 
 fn groove(table: &mut Section, radius_mm: f32) -> Result<Shape, ConfigError> {

@@ -11,7 +11,7 @@
 //! | type or function | what it is |
 //! |---|---|
 //! | [`Mesh`] | a checked triangle mesh, with normals for smooth shading where known |
-//! | [`Shape`] | the built-in samples: bowl, sphere, corner, grooves, the paper's designed shape |
+//! | [`Shape`] | the built-in samples: bowl, sphere, cap, corner, grooves, ridge, the paper's designed shape |
 //! | [`files::read`], [`files::write`] | PLY, OBJ and STL |
 //! | [`inspect::inspect`] | what a file holds, and the placement that it probably needs |
 //! | [`Bvh`], [`Ray`], [`Hit`] | the nearest triangle along a ray, without gaps at edges |

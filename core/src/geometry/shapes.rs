@@ -38,10 +38,15 @@ pub enum Shape {
         /// Facets around, 8..=4096, a multiple of 4.
         segments: u32,
     },
-    /// The upper half of a sphere, seen from outside, rim in the plane z = 0.
+    /// The upper part of a sphere, seen from outside, rim in the plane z = 0, top at
+    /// z = radius · (1 − cos opening).
     Cap {
-        /// Radius.
+        /// Radius of the sphere.
         radius_mm: f32,
+        /// Angle from the axis to the rim, seen from the sphere's centre, degrees, 5..=170:
+        /// 90 is half a sphere, more a ball that stands on a flat.
+        #[serde(default = "right_angle")]
+        opening_deg: f32,
         /// Facets around, 8..=4096, a multiple of 4.
         segments: u32,
     },
@@ -68,6 +73,20 @@ pub enum Shape {
         /// Length along y of the extruded form; ignored by the revolved one.
         length_mm: f32,
         /// Steps along each part of the profile (and a quarter turn of the revolved form),
+        /// 8..=4096, a multiple of 4.
+        segments: u32,
+    },
+    /// A convex ridge within a concave moat, rim in the plane z = 0: the profile of
+    /// [`RIDGE`], found by a search for what four images tell of a material where the camera
+    /// is tilted by 54° from the axis.
+    Ridge {
+        /// From the axis to the rim.
+        radius_mm: f32,
+        /// Extruded along y, or revolved about z.
+        form: Form,
+        /// Length along y of the extruded form; ignored by the revolved one.
+        length_mm: f32,
+        /// Facets around the revolved form, and steps from the axis to the rim,
         /// 8..=4096, a multiple of 4.
         segments: u32,
     },
@@ -111,6 +130,11 @@ pub enum Form {
     Revolved,
 }
 
+/// The opening of a cap that states none: half a sphere.
+fn right_angle() -> f32 {
+    90.0
+}
+
 impl Shape {
     /// The tessellated surface, with exact normals at the corners where it is curved.
     pub fn mesh(&self) -> Result<Mesh, MeshError> {
@@ -127,10 +151,17 @@ impl Shape {
             }
             Shape::Cap {
                 radius_mm,
+                opening_deg,
                 segments,
             } => {
-                let profile = arc(radius_mm, segments / 4, |t| {
-                    (Vec2::new(t.sin(), t.cos()), Vec2::new(t.sin(), t.cos()))
+                let wide = f64::from(opening_deg) / 90.0;
+                let steps = (f64::from(segments / 4) * wide).ceil() as u32;
+                let rim = opening_deg.to_radians().cos();
+                let rim = if opening_deg == 90.0 { 0.0 } else { rim };
+                let profile = arc(radius_mm, steps, |t| {
+                    let t = t * wide as f32;
+                    let normal = Vec2::new(t.sin(), t.cos());
+                    (normal - rim * Vec2::Y, normal)
                 });
                 revolve(&profile, segments)
             }
@@ -175,6 +206,18 @@ impl Shape {
                 match form {
                     Form::Extruded => extrude(&profile, length_mm),
                     Form::Revolved => revolve(&profile, 4 * segments),
+                }
+            }
+            Shape::Ridge {
+                radius_mm,
+                form,
+                length_mm,
+                segments,
+            } => {
+                let profile = ridge_profile(radius_mm, segments);
+                match form {
+                    Form::Extruded => extrude(&profile, length_mm),
+                    Form::Revolved => revolve(&profile, segments),
                 }
             }
             Shape::Groove {
@@ -249,6 +292,43 @@ fn designed_profile(
     }
     profile.dedup();
     profile
+}
+
+/// Height above the rim and slope of the ridge's profile at r = 0, 0.2, … 1, everything in
+/// units of the radius; between them z is the cubic polynomial with these values and slopes.
+/// Highest 0.329 at r = 0.18, lowest −0.114 at r = 0.82, steepest 54°.
+pub const RIDGE: [[f64; 2]; 6] = [
+    [0.2785, 0.0],
+    [0.3276, -0.1786],
+    [0.1613, -1.0436],
+    [-0.0117, -0.7358],
+    [-0.1126, -0.1221],
+    [0.0, 1.3996],
+];
+
+/// Height and slope of the ridge's profile at r = 0..=1 radii.
+pub fn ridge_height(r: f64) -> [f64; 2] {
+    let step = 1.0 / (RIDGE.len() - 1) as f64;
+    let from = ((r / step) as usize).min(RIDGE.len() - 2);
+    let t = r / step - from as f64;
+    let [[low, low_slope], [high, high_slope]] = [RIDGE[from], RIDGE[from + 1]];
+    // Hermite's cubic, and its derivative by r.
+    let rise = high - low;
+    let curve = (1.0 - t) * (low_slope * step - rise) - t * (high_slope * step - rise);
+    let bent =
+        (1.0 - 2.0 * t) * curve + t * (1.0 - t) * (2.0 * rise - (low_slope + high_slope) * step);
+    [low + t * rise + t * (1.0 - t) * curve, (rise + bent) / step]
+}
+
+/// From the axis to the rim.
+fn ridge_profile(radius_mm: f32, steps: u32) -> Vec<ProfilePoint> {
+    let at = |i: u32| {
+        let r = f64::from(i) / f64::from(steps);
+        let [height, slope] = ridge_height(r);
+        let point = Vec2::new(r as f32, height as f32);
+        (radius_mm * point, Vec2::new(-slope as f32, 1.0).normalize())
+    };
+    (0..=steps).map(at).collect()
 }
 
 /// From the inner rim to the outer one.
@@ -387,6 +467,23 @@ mod tests {
     use super::*;
     use crate::geometry::{Bvh, Ray};
 
+    fn cap(opening_deg: f32) -> Shape {
+        Shape::Cap {
+            radius_mm: 2.0,
+            opening_deg,
+            segments: 32,
+        }
+    }
+
+    fn ridge(form: Form) -> Shape {
+        Shape::Ridge {
+            radius_mm: 10.0,
+            form,
+            length_mm: 20.0,
+            segments: 256,
+        }
+    }
+
     fn all() -> Vec<Shape> {
         let designed = |offset, form| Shape::Designed {
             radius_mm: 1.0,
@@ -407,10 +504,11 @@ mod tests {
                 radius_mm: 2.0,
                 segments: 32,
             },
-            Shape::Cap {
-                radius_mm: 2.0,
-                segments: 32,
-            },
+            cap(90.0),
+            cap(60.0),
+            cap(150.0),
+            ridge(Form::Revolved),
+            ridge(Form::Extruded),
             Shape::Sphere {
                 radius_mm: 2.0,
                 segments: 32,
@@ -445,6 +543,79 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Area and height of a spherical cap, and where its rim is: 2π R² (1 − cos), R (1 − cos).
+    #[test]
+    fn a_cap_is_the_part_of_a_sphere_that_it_states() {
+        for opening_deg in [20.0, 60.0, 90.0, 150.0f32] {
+            let mesh = match cap(opening_deg) {
+                Shape::Cap { radius_mm, .. } => Shape::Cap {
+                    radius_mm,
+                    opening_deg,
+                    segments: 256,
+                },
+                other => other,
+            };
+            let mesh = mesh.mesh().unwrap();
+            let [low, high] = mesh.bounds_mm();
+            let part = 1.0 - opening_deg.to_radians().cos();
+            assert!(
+                (high.z - 2.0 * part).abs() < 1e-5 && low.z.abs() < 1e-5,
+                "{low} {high}"
+            );
+            let widest = 2.0 * opening_deg.min(90.0).to_radians().sin();
+            assert!(
+                (high.x / widest - 1.0).abs() < 1e-3,
+                "{opening_deg}: {high}"
+            );
+            let area: f32 = (0..mesh.triangles.len())
+                .map(|i| mesh.corners(i))
+                .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
+                .sum();
+            let expected = TAU * 4.0 * part;
+            assert!(
+                (area / expected - 1.0).abs() < 1e-3,
+                "{opening_deg}: {area}"
+            );
+        }
+        // What files of before say is half a sphere.
+        let text = r#"{"kind": "cap", "radius_mm": 2.0, "segments": 32}"#;
+        assert_eq!(serde_json::from_str::<Shape>(text).unwrap(), cap(90.0));
+    }
+
+    /// Heights and slopes of the table, slopes that are those of the heights, and the volume
+    /// between rim and surface by the integral 2π ∫ r z dr.
+    #[test]
+    fn the_ridge_is_its_profile() {
+        for (i, expected) in RIDGE.into_iter().enumerate() {
+            let [height, slope] = ridge_height(0.2 * i as f64);
+            assert!((height - expected[0]).abs() < 1e-12, "{i}: {height}");
+            assert!((slope - expected[1]).abs() < 1e-9, "{i}: {slope}");
+        }
+        let mut volume = 0.0;
+        for i in 0..1000 {
+            let r = (f64::from(i) + 0.5) / 1000.0;
+            let [height, slope] = ridge_height(r);
+            let rise = ridge_height(r + 1e-6)[0] - ridge_height(r - 1e-6)[0];
+            assert!((rise / 2e-6 - slope).abs() < 1e-5, "{r}");
+            volume += std::f64::consts::TAU * r * height / 1000.0;
+        }
+        let mesh = ridge(Form::Revolved).mesh().unwrap();
+        let [low, high] = mesh.bounds_mm();
+        assert!(
+            (high.z - 3.291).abs() < 2e-3 && (low.z + 1.140).abs() < 2e-3,
+            "{low} {high}"
+        );
+        // Signed volumes against the plane z = 0.
+        let under = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).z * (a.z + b.z + c.z) / 6.0;
+        let found: f32 = (0..mesh.triangles.len())
+            .map(|i| under(mesh.corners(i)))
+            .sum();
+        assert!(
+            (f64::from(found) / 1e3 / volume - 1.0).abs() < 0.01,
+            "{found} {volume}"
+        );
     }
 
     #[test]

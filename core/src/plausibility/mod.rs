@@ -401,3 +401,68 @@ impl Values<'_> {
         count as f64 / (3 * self.image.mean.len()) as f64
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+    use crate::brdf::Mixture;
+    use crate::cells::CellOptions;
+    use crate::geometry::Shape;
+    use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
+
+    /// A white ball whose lamp stands so far from the camera, with noise of this standard
+    /// deviation.
+    fn lit_from(off_deg: f64, noise: f32) -> Result<(), Implausible> {
+        let (sin, cos) = off_deg.to_radians().sin_cos();
+        let light = Light::Directional {
+            to_light: DVec3::new(sin, 0.0, cos),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        };
+        let ball = Shape::Sphere {
+            radius_mm: 1.0,
+            segments: 128,
+        };
+        let extent_mm = DVec2::splat(2.2);
+        let camera = Camera::looking_at(
+            [64; 2],
+            Projection::Orthographic { extent_mm },
+            DVec3::new(0.0, 0.0, 5.0),
+            DVec3::ZERO,
+            DVec3::Y,
+        );
+        let (mesh, camera) = (ball.mesh().unwrap(), camera.unwrap());
+        let scene = Scene::new(mesh, Shading::Smooth, camera, vec![light]);
+        let white = Dictionary::new("white", vec![Atom::Lambertian { albedo: 1.0 }]).unwrap();
+        let mixture = Mixture::new(Arc::new(white.clone()), std::array::from_fn(|_| vec![1.0]));
+        let mut images = render(&scene, &mixture.unwrap(), &RenderOptions::default());
+        for variance in &mut images[0].variance {
+            *variance = [noise * noise; 3];
+        }
+        let captured = Captured::new(&scene, &images, &CellOptions::exact()).unwrap();
+        check(&scene, &captured, &white, 0.0)
+    }
+
+    /// A lamp far behind a ball lights a crescent: less than 1% of its light arrives on average,
+    /// and so many cells stand out of noise that the image says something.
+    #[test]
+    fn a_crescent_of_twenty_cells_is_lit() {
+        assert_eq!(lit_from(120.0, 1e-3), Ok(()));
+        assert_eq!(lit_from(155.0, 1e-4), Ok(()));
+        let refused = lit_from(155.0, 0.3).unwrap_err();
+        assert!(
+            matches!(refused, Implausible::NotLit { mean_cosine, lit, .. }
+                if (0.002..0.01).contains(&mean_cosine) && lit < MIN_LIT_CELLS),
+            "{refused}"
+        );
+        let refused = lit_from(180.0, 1e-4).unwrap_err();
+        assert!(
+            matches!(refused, Implausible::NotLit { lit: 0, .. }),
+            "{refused}"
+        );
+    }
+}

@@ -59,6 +59,7 @@ fn no_images_make_a_material_that_reflects_more_than_arrives() {
     };
     let cap = Shape::Cap {
         radius_mm: 1.0,
+        opening_deg: 90.0,
         segments: 48,
     };
     let dictionary = Dictionary::load(Dictionary::DEFAULT).unwrap();

@@ -1,4 +1,4 @@
-//! The simulated rig's records, so that the program works in an empty folder.
+//! The simulated rigs' records, so that the program works in an empty folder.
 
 /// A file of `calibration/simulated/`.
 macro_rules! shipped {
@@ -9,6 +9,9 @@ macro_rules! shipped {
         )
     };
 }
+
+/// Names of the rigs with this sensor.
+pub(super) const RIGS: [&str; 3] = ["simulated", "simulated-tilted", "simulated-ball"];
 
 /// `<kind>/<file>` and its bytes. They were made by `rig calibrate` on the
 /// simulated rig; `tests/physics/radiometry.rs` makes them again and compares.

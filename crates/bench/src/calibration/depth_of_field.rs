@@ -47,9 +47,15 @@ impl fmt::Display for DepthOfField {
     /// The blur at both ends of the sample's depth.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = self.ends;
+        // Before a tilted camera the nearest and farthest point are neither the lowest nor the
+        // highest.
+        let elsewhere = match self.worst.disc_px > 1.05 * low.disc_px.max(high.disc_px) {
+            true => format!(", and by up to {:.2} px elsewhere", self.worst.disc_px),
+            false => String::new(),
+        };
         write!(
             out,
-            "the sample is blurred by {:.2} px at {:.2} mm and by {:.2} px at {:.2} mm",
+            "the sample is blurred by {:.2} px at {:.2} mm and by {:.2} px at {:.2} mm{elsewhere}",
             low.disc_px, low.height_mm, high.disc_px, high.height_mm
         )
     }

@@ -99,8 +99,8 @@ pub enum RecordError {
 
 impl Library {
     /// The rig's library: the folder its file names; else `calibration/<rig>`
-    /// next to the rig file, above it, or in the working folder. The simulated rig has
-    /// the built-in ones in addition.
+    /// next to the rig file, above it, or in the working folder. The simulated rigs with the
+    /// sensor of [`built_in::SIMULATED`] have the built-in ones in addition.
     pub fn of_rig(rig: &ResolvedRig) -> Self {
         if let Some(folder) = &rig.config.calibration.folder {
             return Self::Folder(folder.clone());
@@ -113,8 +113,10 @@ impl Library {
             Some(std::mem::take(found))
         });
         match (found, name.as_str()) {
-            (Some(folder), "simulated") => Self::Before(folder, built_in::SIMULATED),
-            (None, "simulated") => Self::BuiltIn(built_in::SIMULATED),
+            (Some(folder), name) if built_in::RIGS.contains(&name) => {
+                Self::Before(folder, built_in::SIMULATED)
+            }
+            (None, name) if built_in::RIGS.contains(&name) => Self::BuiltIn(built_in::SIMULATED),
             (Some(folder), _) => Self::Folder(folder),
             (None, _) => Self::Folder(Path::new("calibration").join(name)),
         }

@@ -86,6 +86,8 @@ pub enum WhiteError {
 /// Part of the region on each side that is ignored: light leaks out of a
 /// translucent standard (PTFE) near its edges.
 const MARGIN: f64 = 0.15;
+/// Largest angle between a standard's normal and the lamp, radians: 85°.
+pub(super) const MOST_INCIDENCE_RAD: f64 = 1.483_529_9;
 const MIN_PIXELS: usize = 64;
 const MOST_MASKED: f64 = 0.05;
 const MOST_UNEVEN: f64 = 0.05;
@@ -111,7 +113,7 @@ pub fn irradiance(
         });
     }
     let degrees = standard.incidence_rad.to_degrees();
-    if !(0.0..=85.0).contains(&degrees) {
+    if !(0.0..=MOST_INCIDENCE_RAD).contains(&standard.incidence_rad) {
         return Err(WhiteError::Incidence { degrees });
     }
     let quarters = quarters(image, region)?;

@@ -6,7 +6,7 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::record::Measured;
-use super::white::{Region, WhiteError, WhiteStandard, irradiance};
+use super::white::{MOST_INCIDENCE_RAD, Region, WhiteError, WhiteStandard, irradiance};
 use crate::radiance_image::RadianceImage;
 use crate::transport::falloff::Falloff;
 use crate::transport::{Camera, Light};
@@ -132,6 +132,15 @@ impl WhiteLights<'_> {
     }
 
     fn one(&self, light: &Light, image: &RadianceImage) -> Result<One, WhiteError> {
+        // A standard that lies level is lit from above alone.
+        let above = DVec3::new(0.0, 0.0, self.height_mm).as_vec3();
+        let towards = light.sample(above, [0.5; 2]);
+        let cosine = f64::from(towards.direction.z).clamp(-1.0, 1.0);
+        let incidence_rad = cosine.acos();
+        if incidence_rad > MOST_INCIDENCE_RAD {
+            let degrees = incidence_rad.to_degrees();
+            return Err(WhiteError::Incidence { degrees });
+        }
         // As an evenly lit standard: the falloff that the light's position explains is taken
         // out first.
         let (left, top) = (self.region.x, self.region.y);
@@ -186,15 +195,12 @@ impl WhiteLights<'_> {
         }
         let uneven = self.uneven(&flat, &places);
         // The intensity.
-        let above = DVec3::new(0.0, 0.0, self.height_mm).as_vec3();
-        let towards = light.sample(above, [0.5; 2]);
-        let cosine = f64::from(towards.direction.z).clamp(-1.0, 1.0);
         let exact = WhiteStandard {
             reflectance: Measured {
                 std: 0.0,
                 ..self.standard.reflectance
             },
-            incidence_rad: cosine.acos(),
+            incidence_rad,
             incidence_std_rad: 0.0,
         };
         let found = irradiance(&flat, self.region, &exact)?;
@@ -396,6 +402,22 @@ mod tests {
                 "{direction_std}: {relative2}"
             );
         }
+    }
+
+    /// A lamp below the horizon of a standard that lies level.
+    #[test]
+    fn a_light_that_does_not_reach_the_standard_is_named_by_its_incidence() {
+        let (camera, mut lights) = (camera(), lights());
+        lights[0].0 = Light::Directional {
+            to_light: DVec3::new(1.0, 0.0, -0.02).normalize(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        };
+        let found = white(&camera, &lights, 0.005, 0.0).measure(&[photograph(0, 1.0, 0.99, 1)]);
+        assert!(
+            matches!(found, Err(WhiteError::Incidence { degrees }) if (91.0..92.0).contains(&degrees)),
+            "{found:?}"
+        );
     }
 
     #[test]

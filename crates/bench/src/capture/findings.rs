@@ -18,6 +18,7 @@ use crate::geometry::FileRemark;
 use crate::session::SceneFileError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
+use crate::shown::nth;
 use crate::transport::cache::CacheError;
 use crate::units::StageAngles;
 
@@ -47,6 +48,13 @@ pub enum Notice<'a> {
         /// `capture.blur_limit_px`, pixels.
         limit_px: f64,
     },
+    /// Planned lights that shine towards the camera: more than 90° from its axis, as seen from
+    /// the sample.
+    TowardsLens {
+        /// Their places in the plan, their directions and their angles to the camera's axis,
+        /// degrees.
+        lights: Vec<(usize, StageAngles, f64)>,
+    },
     /// So many light directions are compared now, which takes a while.
     Comparing { directions: usize },
 }
@@ -64,6 +72,16 @@ impl fmt::Display for Notice<'_> {
             Self::View(concern) => concern.fmt(out),
             Self::Blur { blur, limit_px } => {
                 write!(out, "depth of field: {}", blur.concern(*limit_px))
+            }
+            Self::TowardsLens { lights } => {
+                let each = lights.iter().map(|(light, angles, off_deg)| {
+                    format!("{} ({angles}) {off_deg:.0}°", nth("light", *light))
+                });
+                write!(
+                    out,
+                    "lights from behind the sample, by their angle to the camera's axis: {}",
+                    each.collect::<Vec<_>>().join(", ")
+                )
             }
             Self::Comparing { directions } => {
                 write!(out, "comparing {directions} light directions")

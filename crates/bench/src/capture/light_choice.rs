@@ -4,7 +4,7 @@
 use nalgebra::DVector;
 
 use super::CaptureError;
-use super::directions::plan_order;
+use super::directions::{Aim, plan_order};
 use super::findings::{Notice, PrepareError};
 use super::reach::StageReach;
 use crate::brdf::Dictionary;
@@ -68,7 +68,7 @@ pub fn best(
     count: usize,
     notice: &mut dyn FnMut(Notice<'_>),
 ) -> Result<Ranking, PrepareError> {
-    let candidates = plan_order(reach, config.geometry.coaxial(), CANDIDATES, 0.0);
+    let candidates = plan_order(reach, Aim::of(&config.geometry), CANDIDATES, 0.0);
     if candidates.len() < count {
         return Err(CaptureError::TooManyLights {
             wanted: count,
@@ -118,7 +118,7 @@ pub fn next(
         .collect();
     let taken: Vec<usize> = (0..candidates.len()).collect();
     let reach = StageReach::of_rig(&config)?;
-    let spread = plan_order(&reach, config.geometry.coaxial(), CANDIDATES, 0.0);
+    let spread = plan_order(&reach, Aim::of(&config.geometry), CANDIDATES, 0.0);
     candidates.extend(spread.into_iter().filter(|angles| {
         let near = |other: &StageAngles| other.to_light().dot(angles.to_light()) > NEAR_COSINE;
         !record.plan.lights.iter().any(near)

@@ -3,10 +3,8 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-
 use super::CaptureError;
-use super::directions::plan_order;
+use super::directions::{Aim, plan_order};
 use super::duration::Expected;
 pub use super::pace::Pace;
 use super::reach::StageReach;
@@ -35,8 +33,8 @@ pub struct PlanRequest {
     pub lights: LightChoice,
     /// What the stage can reach.
     pub reach: StageReach,
-    /// Unit direction from the sample to the camera in the stage's frame.
-    pub coaxial: DVec3,
+    /// What the lights are to show.
+    pub aim: Aim,
     /// The plan but for its lights and estimates.
     pub rules: PlanRecord,
     /// Width and height of a frame, pixels.
@@ -90,7 +88,7 @@ impl PlanRequest {
         Self {
             lights,
             reach,
-            coaxial: rig.geometry.coaxial(),
+            aim: Aim::of(&rig.geometry),
             rules,
             resolution_px: rig.camera.resolution_px,
             pace: Pace::of_rig(rig),
@@ -154,8 +152,7 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
 }
 
 fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError> {
-    let order =
-        |count, spacing_deg| plan_order(&request.reach, request.coaxial, count, spacing_deg);
+    let order = |count, spacing_deg| plan_order(&request.reach, request.aim, count, spacing_deg);
     let lights = match &request.lights {
         LightChoice::Count(count) => {
             let lights = order(*count, 0.0);
@@ -213,13 +210,14 @@ pub fn check_space(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
 
     fn request(lights: LightChoice) -> PlanRequest {
         let example = crate::session::example::plan();
         PlanRequest {
             lights,
             reach: StageReach::of_angles([-170.0, 170.0], [10.0, 85.0]),
-            coaxial: DVec3::Z,
+            aim: Aim::along(DVec3::Z),
             rules: PlanRecord {
                 channels: (0..3).map(LampChannel).collect(),
                 exposure: ExposureRules {

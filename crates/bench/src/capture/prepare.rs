@@ -156,6 +156,10 @@ pub fn prepare<'a>(
     let plan_request = PlanRequest::of_rig(config, reach, lights);
     let planned = plan(&plan_request, &noise)?;
     check_lights(config, &planned.lights)?;
+    let lights = towards_lens(config, &planned.lights);
+    if !lights.is_empty() {
+        notice(Notice::TowardsLens { lights });
+    }
     Ok(Prepared {
         rig,
         sample,
@@ -168,6 +172,19 @@ pub fn prepare<'a>(
         plan: planned,
         ranking,
     })
+}
+
+/// Lights of a plan that stand behind the sample, as the camera sees it.
+fn towards_lens(config: &RigConfig, lights: &[StageAngles]) -> Vec<(usize, StageAngles, f64)> {
+    let coaxial = config.geometry.coaxial();
+    let lights = lights.iter().enumerate();
+    lights
+        .map(|(light, &angles)| {
+            let off = angles.to_light().angle_between(coaxial).to_degrees();
+            (light, angles, off)
+        })
+        .filter(|(.., off_deg)| *off_deg > 90.0)
+        .collect()
 }
 
 impl Prepared<'_> {

@@ -28,6 +28,18 @@ pub const BUILT_IN: &[(&str, &str)] = &[
         "simulated-5mp-bayer",
         include_str!("../../../../rig-configs/simulated-5mp-bayer.toml"),
     ),
+    (
+        "simulated-tilted",
+        include_str!("../../../../rig-configs/simulated-tilted.toml"),
+    ),
+    (
+        "simulated-ball",
+        include_str!("../../../../rig-configs/simulated-ball.toml"),
+    ),
+    (
+        "grbl-arm-tilted",
+        include_str!("../../../../rig-configs/grbl-arm-tilted.toml"),
+    ),
 ];
 
 /// Simulated benches on which calibrations and the bench of a torch are rehearsed, built into the
@@ -250,7 +262,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

@@ -12,8 +12,9 @@ use super::process::{CalibrationConfig, CaptureConfig, read_fit};
 use super::reader::Section;
 use super::simulation::{SimulationConfig, Timing};
 use super::stage::{StageConfig, StageDriver};
-use super::view::with_lens;
+use super::view::{SurfaceSpec, with_lens};
 use crate::bench_priors::BenchPriors;
+use crate::geometry::Shape;
 
 /// A rig file, parsed and valid.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,6 +109,14 @@ impl RigConfig {
         {
             with_lens(geometry.camera, lens, root, "simulation.lens.radial")?;
         }
+        let mut uncertainty = super::uncertainty::read(root.section_or_empty("uncertainty")?)?;
+        if matches!(
+            geometry.sample.surface,
+            SurfaceSpec::Shape(Shape::Sphere { .. })
+        ) {
+            // A ball has a place and no orientation: not 0, which would call the place exact, too.
+            uncertainty.rotation_rad = uncertainty.rotation_rad.min(BALL_ROTATION_RAD);
+        }
         let capture = root.section_or_empty("capture")?;
         let config = Self {
             name,
@@ -117,7 +126,7 @@ impl RigConfig {
             geometry,
             limits: LimitsConfig::read(root.section_or_empty("limits")?)?,
             fit: read_fit(root.section_or_empty("fit")?)?,
-            uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
+            uncertainty,
             calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,
             lab: LabConfig::read(root.section_or_empty("lab")?)?,
             simulation,
@@ -127,6 +136,9 @@ impl RigConfig {
         Ok(config)
     }
 }
+
+/// By how much a ball may be turned against the description, radians.
+const BALL_ROTATION_RAD: f64 = 1e-6;
 
 const NAME: &str = "1 to 40 of a-z, 0-9 and -, because it names a folder";
 
@@ -194,6 +206,9 @@ mod tests {
         );
         for other in [
             "kind = \"cap\"",
+            "kind = \"cap\"\nopening_deg = 60",
+            "kind = \"ridge\"",
+            "kind = \"ridge\"\nform = \"extruded\"\nlength_mm = 20",
             "kind = \"designed\"\nlength_mm = 3",
             "kind = \"tetrahedron\"\ndepth_mm = 3",
             "kind = \"groove\"\nwidth_mm = 3",
@@ -269,6 +284,18 @@ mod tests {
     fn the_shipped_rig_sees_the_sample_along_the_zenith() {
         let rig = parse(simulated()).unwrap();
         assert!((rig.geometry.coaxial() - glam::DVec3::Z).length() < 1e-9);
+    }
+
+    /// What the shipped file states of a bowl's orientation says nothing of a ball's.
+    #[test]
+    fn a_ball_has_a_place_and_no_orientation() {
+        let of = |name: &str| {
+            let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name).unwrap();
+            parse(text).unwrap().uncertainty
+        };
+        let [ball, ridge] = ["simulated-ball", "simulated-tilted"].map(of);
+        assert!(ball.rotation_rad <= 1e-6 && ridge.rotation_rad > 1e-3);
+        assert_eq!(ball.translation_mm, ridge.translation_mm);
     }
 
     #[test]

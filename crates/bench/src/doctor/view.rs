@@ -3,7 +3,7 @@
 use super::{Check, Trouble};
 use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, depth_of_field};
-use crate::capture::directions::plan_order;
+use crate::capture::directions::{Aim, plan_order};
 use crate::capture::reach::StageReach;
 use crate::config::scene_concern::{DescribedIn, SceneConcern, extent_in_image};
 use crate::config::{BuildError, ResolvedRig, RigConfig};
@@ -29,8 +29,8 @@ pub(super) fn checks(rig: &ResolvedRig, library: &Library) -> Vec<Check> {
 fn view(config: &RigConfig) -> Result<Check, BuildError> {
     let name = "view";
     let reach = StageReach::of_rig(config)?;
-    let coaxial = config.geometry.coaxial();
-    let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
+    let aim = Aim::of(&config.geometry);
+    let lights = plan_order(&reach, aim, LIGHTS_LOOKED_AT, 0.0);
     let scene = config.geometry.scene(&lights)?;
     let seen = Visibility::of(&scene);
     let surface = &config.geometry.sample.surface;

@@ -46,6 +46,13 @@ pub struct StatedResult {
     pub traceability: Traceability,
 }
 
+fn swept(form: Form) -> &'static str {
+    match form {
+        Form::Extruded => "extruded",
+        Form::Revolved => "revolved",
+    }
+}
+
 impl StatedResult {
     /// The fit that `folder` names: a session, or `SESSION/fits/NUMBER`; `number` instead of
     /// the latest.
@@ -94,7 +101,22 @@ impl StatedResult {
                     format!("hollow hemisphere, radius {radius_mm} mm")
                 }
                 Shape::Sphere { radius_mm, .. } => format!("sphere, radius {radius_mm} mm"),
-                Shape::Cap { radius_mm, .. } => format!("hemisphere, radius {radius_mm} mm"),
+                Shape::Cap {
+                    radius_mm,
+                    opening_deg,
+                    ..
+                } => match opening_deg {
+                    90.0 => format!("hemisphere, radius {radius_mm} mm"),
+                    _ => format!(
+                        "spherical cap up to {opening_deg}° from its axis, radius {radius_mm} mm"
+                    ),
+                },
+                Shape::Ridge {
+                    radius_mm, form, ..
+                } => format!(
+                    "ridge within a moat, {}, radius {radius_mm} mm",
+                    swept(*form)
+                ),
                 Shape::Tetrahedron {
                     radius_mm,
                     depth_mm,
@@ -102,10 +124,7 @@ impl StatedResult {
                 Shape::Designed {
                     radius_mm, form, ..
                 } => {
-                    let form = match form {
-                        Form::Extruded => "extruded",
-                        Form::Revolved => "revolved",
-                    };
+                    let form = swept(*form);
                     format!("convex arc facing a concave wall, {form}, arc radius {radius_mm} mm")
                 }
                 Shape::Groove {

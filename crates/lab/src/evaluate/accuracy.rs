@@ -4,9 +4,11 @@
 use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::samples::directional;
 use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::Dictionary;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::transport::Light;
 
 /// The concave shapes and numbers of lights.
 const SETTINGS: [(Sample, usize); 4] = [
@@ -41,12 +43,22 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     Ok(of_materials(lab, &SETTINGS, name, one))
 }
 
+/// One alone stands where a plan has it in front of a bowl: 45° from the camera.
+fn lights_of(sample: Sample, count: usize) -> Vec<Light> {
+    match (sample, count) {
+        (Sample::Bowl, 1) => vec![directional(45.0, 20.0)],
+        _ => sample.lights(count),
+    }
+}
+
 fn one(
     lab: &Lab,
     material: &Arc<Material>,
     (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
-    let estimate = lab.measure(sample, lights, material)?;
+    let under = lights_of(sample, lights);
+    let captured = lab.capture(sample, &under, &*material.brdf)?;
+    let estimate = lab.fit(sample, &under, &captured, material)?;
     let start = lab.score(&estimate.start, &*material.brdf);
     let row = material
         .row(sample)

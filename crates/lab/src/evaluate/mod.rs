@@ -11,6 +11,7 @@ mod accuracy;
 mod atoms;
 mod baseline;
 mod calibration;
+mod designs;
 mod dictionary_size;
 mod form;
 mod gallery;
@@ -36,6 +37,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &atoms::ATOMS,
     &accuracy::ACCURACY,
     &baseline::BASELINE,
+    &designs::DESIGNS,
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table, doublings};
 use super::lab::capture::{SENSOR, photograph};
 use super::lab::{Lab, Material};
-use crate::capture::directions::plan_order;
+use crate::capture::directions::{Aim, plan_order};
 use crate::capture::reach::StageReach;
 use crate::config::geometry::GeometryConfig;
 use crate::config::{BUILT_IN, RigConfig};
@@ -77,7 +77,7 @@ impl Rule {
 
     fn lights(self, reach: &StageReach, coaxial: DVec3, count: usize) -> Vec<StageAngles> {
         match self {
-            Self::Planned => plan_order(reach, coaxial, count, 0.0),
+            Self::Planned => plan_order(reach, Aim::along(coaxial), count, 0.0),
             Self::Farthest => farthest(&reach.reachable(), coaxial, count),
         }
     }

@@ -22,6 +22,8 @@ pub struct Draft {
     pub lens: Lens,
     /// From the lens to the sample's datum, mm.
     pub camera_distance_mm: f64,
+    /// Angle of its axis from the sample's, degrees.
+    pub camera_tilt_deg: f64,
     /// Diameter and length of lens and camera, mm; `None` where they block no light.
     pub housing_mm: Option<[f64; 2]>,
     pub sample: Sample,
@@ -84,6 +86,8 @@ pub enum Sample {
         kind: String,
         /// Radius, mm.
         radius_mm: f64,
+        /// Opening of a cap, degrees.
+        opening_deg: Option<f64>,
         /// Depth of a tetrahedron, mm.
         depth_mm: Option<f64>,
         /// Width of a groove, mm.
@@ -218,6 +222,7 @@ impl Draft {
             mosaic: take.text("mosaic")?,
             lens: take.lens()?,
             camera_distance_mm: take.number("camera_distance_mm")?,
+            camera_tilt_deg: take.number("camera_tilt_deg")?,
             housing_mm,
             sample: take.sample()?,
             stage: take.stage()?,
@@ -288,6 +293,7 @@ impl Take<'_> {
             _ => Sample::Shape {
                 kind,
                 radius_mm: self.number("sample_radius_mm")?,
+                opening_deg: self.0.number("sample_opening_deg"),
                 depth_mm: self.0.number("sample_depth_mm"),
                 width_mm: self.0.number("groove_width_mm"),
             },

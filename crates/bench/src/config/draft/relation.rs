@@ -72,7 +72,11 @@ fn sample(answers: &Answers) -> Outcome {
     }
     let [across, down] = field_mm(answers)?;
     let half = 0.5 * across.min(down);
-    let outer = radius + 0.5 * width.unwrap_or(0.0);
+    let part = match answers.number("sample_opening_deg") {
+        Some(opening_deg) => opening_deg.min(90.0).to_radians().sin(),
+        None => 1.0,
+    };
+    let outer = radius * part + 0.5 * width.unwrap_or(0.0);
     let allowed = format!(
         "such that the sample ({outer} mm from its middle) is within {half:.2} mm, half of the shorter side of the field of view"
     );

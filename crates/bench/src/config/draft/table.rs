@@ -13,7 +13,7 @@ use crate::config::lab;
 pub(super) const WITH_AXES: [&str; 2] = ["grbl", "zaber"];
 const ON_A_PORT: [&str; 3] = ["grbl", "zaber", "dmx"];
 const FIXED: [&str; 2] = ["dmx", "manual"];
-const WITH_RADIUS: [&str; 5] = ["bowl", "sphere", "cap", "tetrahedron", "groove"];
+const WITH_RADIUS: [&str; 6] = ["bowl", "ridge", "cap", "sphere", "tetrahedron", "groove"];
 
 const NAME: TextRule = TextRule {
     allowed: "1 to 40 of a-z, 0-9 and -, because it names a folder",
@@ -195,6 +195,9 @@ fn of_the_lens() -> Vec<Question> {
         number("camera_distance_mm", "Distance from the lens to the sample", "mm", [10.0, 10000.0])
             .default(200.0)
             .help("telecentric: from its front; else from the entrance pupil, roughly the middle of the lens"),
+        number("camera_tilt_deg", "Angle of the camera's axis from the sample's", "°", [0.0, 80.0])
+            .default(0.0)
+            .help("0 straight above, where a bowl is seen; 55 for a ridge, 60 for a cap, opposite azimuth 0"),
         yes_no("housing", "Do lens or camera stand in the lamp's way from some directions?")
             .default(true)
             .help("no where the light comes through the lens or from a ring around it"),
@@ -216,8 +219,9 @@ fn of_the_sample() -> Vec<Question> {
             "Shape of the sample",
             listed(&[
                 ("bowl", "bowl: a hollow hemisphere"),
-                ("sphere", "sphere"),
-                ("cap", "cap: a dome, convex"),
+                ("ridge", "ridge: a hump within a moat, for a tilted camera"),
+                ("cap", "cap: a dome, convex, for a tilted camera"),
+                ("sphere", "sphere on a post, for lamps that go behind it"),
                 ("tetrahedron", "three-sided hollow corner"),
                 ("groove", "groove: a round channel along a circle"),
                 ("mesh", "another: a mesh file (PLY, OBJ, STL)"),
@@ -232,8 +236,17 @@ fn of_the_sample() -> Vec<Question> {
             [0.01, 1000.0],
         )
         .default(10.0)
-        .help("of the opening, the sphere, the corners about the axis, or the groove's circle")
+        .help("of the opening or rim, the sphere (of a cap, too), the corners about the axis, or the groove's circle")
         .when("sample_shape", &WITH_RADIUS),
+        number(
+            "sample_opening_deg",
+            "Angle from the cap's axis to its rim",
+            "°",
+            [5.0, 170.0],
+        )
+        .default(60.0)
+        .help("as the sphere's centre sees it: 90 is half a sphere")
+        .when("sample_shape", &["cap"]),
         number(
             "sample_depth_mm",
             "Depth of the corner below its opening",

@@ -213,6 +213,27 @@ fn lens_sample_and_lamp_are_as_answered() {
     assert_eq!(rig.capture.lamp_warm_up.0, 0.0);
 }
 
+/// A camera 60° from the axis of a cap, away from azimuth 0: lamps there are 120° from it
+/// at the horizon.
+#[test]
+fn a_tilted_camera_and_its_samples_are_as_answered() {
+    let mut bench = bench(CAMERAS[0], STAGES[0]);
+    for (key, value) in [("camera_tilt_deg", "60"), ("sample_shape", "cap")] {
+        bench.set(key, value.into());
+    }
+    let rig = made(&bench).unwrap().rig;
+    let coaxial = rig.geometry.coaxial();
+    let expected = glam::DVec3::new(-(3f64.sqrt()), 0.0, 1.0) / 2.0;
+    assert!((coaxial - expected).length() < 1e-4, "{coaxial}");
+    let SurfaceSpec::Shape(Shape::Cap { opening_deg, .. }) = rig.geometry.sample.surface else {
+        panic!("{:?}", rig.geometry.sample.surface);
+    };
+    assert_eq!(opening_deg, 60.0);
+    bench.set("sample_shape", "ridge".into());
+    let ridge = made(&bench).unwrap().rig.geometry.sample.surface;
+    assert!(matches!(ridge, SurfaceSpec::Shape(Shape::Ridge { .. })));
+}
+
 /// The serial number of a camera that is connected stands in the file.
 #[test]
 fn a_camera_that_is_connected_is_the_default() {

@@ -210,8 +210,23 @@ impl Draft {
                 );
             }
         }
-        let distance = number(self.camera_distance_mm);
-        out.key("position_mm", format!("[0.0, 0.0, {distance}]"), "Where the lens is: straight above the sample. It is sharp at the datum unless focus_mm\nsays otherwise.");
+        let (position, remark) = match self.camera_tilt_deg {
+            0.0 => (
+                format!("[0.0, 0.0, {}]", number(self.camera_distance_mm)),
+                "Where the lens is: straight above the sample. It is sharp at the datum unless focus_mm\nsays otherwise.",
+            ),
+            tilt_deg => {
+                let (sin, cos) = tilt_deg.to_radians().sin_cos();
+                // Hundredths of a millimetre, which a tape does not reach.
+                let [x, z] = [-sin, cos]
+                    .map(|part| (100.0 * part * self.camera_distance_mm).round() / 100.0);
+                (
+                    format!("[{}, 0.0, {}]", number(x), number(z)),
+                    "Where the lens is, tilted away from azimuth 0. It is sharp at the datum unless focus_mm\nsays otherwise.",
+                )
+            }
+        };
+        out.key("position_mm", position, remark);
         out.key(
             "look_at_mm",
             "[0.0, 0.0, 0.0]",
@@ -219,7 +234,10 @@ impl Draft {
         );
         out.key(
             "up",
-            "[0.0, 1.0, 0.0]",
+            match self.camera_tilt_deg {
+                0.0 => "[0.0, 1.0, 0.0]",
+                _ => "[0.0, 0.0, 1.0]",
+            },
             "The direction that is up in the image.",
         );
         match self.lens {
@@ -429,6 +447,7 @@ fn sample(out: &mut Lines, sample: &Sample) {
         Sample::Shape {
             kind,
             radius_mm,
+            opening_deg,
             depth_mm,
             width_mm,
         } => {
@@ -446,6 +465,13 @@ fn sample(out: &mut Lines, sample: &Sample) {
             out.table("[geometry.sample.shape]");
             out.key("kind", quoted(kind), "");
             out.key("radius_mm", number(*radius_mm), "");
+            if let Some(opening) = opening_deg {
+                out.key(
+                    "opening_deg",
+                    number(*opening),
+                    "From its axis to its rim, as the sphere's centre sees it.",
+                );
+            }
             if let Some(depth) = depth_mm {
                 out.key(
                     "depth_mm",

@@ -1,6 +1,7 @@
 // The hemisphere of directions, seen from above: the zenith in the middle, the horizon
 // around it, azimuth 0° to the right and counted anticlockwise. The distance from the
-// middle is proportional to the angle from the zenith.
+// middle is proportional to the angle from the zenith. Where lamps go below the horizon, the
+// drawing ends at the lowest of them and the horizon is a ring within it.
 
 import { h, redraw, s, say } from "./dom.js";
 import { degrees, direction } from "./format.js";
@@ -8,10 +9,19 @@ import { degrees, direction } from "./format.js";
 const R = 100;
 const STEP_DEG = 5;
 
-function at(azimuth, elevation) {
-  const r = (R * (90 - elevation)) / 90;
-  const angle = (azimuth * Math.PI) / 180;
-  return [r * Math.cos(angle), -r * Math.sin(angle)];
+/** The elevation of the drawing's edge (degrees). */
+function edge({ range, lights = [], position, target }) {
+  const marked = [...lights, position, target].filter(Boolean).map((mark) => mark.elevation_deg);
+  return Math.max(-90, Math.min(0, range?.elevation?.[0] ?? 0, ...marked));
+}
+
+/** Where directions are on a drawing that ends at this elevation. */
+function drawnTo(lowest) {
+  return (azimuth, elevation) => {
+    const r = (R * (90 - elevation)) / (90 - lowest);
+    const angle = (azimuth * Math.PI) / 180;
+    return [r * Math.cos(angle), -r * Math.sin(angle)];
+  };
 }
 
 /**
@@ -28,14 +38,21 @@ export function hemisphere(label, { onpick, help } = {}) {
   const element = h("div", { class: "directions" }, drawing, reading);
   let aim = [0, 60];
   let blocked = null;
+  let lowest = 0;
 
   function show(what) {
+    lowest = edge(what);
+    const at = drawnTo(lowest);
     blocked = what.blocked ?? null;
     drawing.classList.toggle("blocked", Boolean(blocked));
-    redraw(layer, what, () => [...ground(what), ...marks(what)]);
+    redraw(layer, what, () => [...ground(what, at, lowest), ...marks(what, at)]);
+    aimAt();
     if (!onpick) drawing.setAttribute("aria-label", `${label}: ${spoken(what.lights ?? [])}`);
   }
 
+  function aimAt() {
+    place(cursor, drawnTo(lowest)(...aim));
+  }
   function describe() {
     say(reading, direction(...aim));
   }
@@ -47,8 +64,8 @@ export function hemisphere(label, { onpick, help } = {}) {
     drawing.setAttribute("tabindex", "0");
     drawing.append(cursor);
     drawing.addEventListener("click", (event) => {
-      aim = pointed(drawing, event);
-      place(cursor, aim);
+      aim = pointed(drawing, event, lowest);
+      aimAt();
       describe();
       pick();
     });
@@ -56,35 +73,35 @@ export function hemisphere(label, { onpick, help } = {}) {
       const step = event.shiftKey ? 1 : STEP_DEG;
       const turn = { ArrowLeft: [step, 0], ArrowRight: [-step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] }[event.key];
       if (turn) {
-        aim = [wrap(aim[0] + turn[0]), Math.min(90, Math.max(0, aim[1] + turn[1]))];
-        place(cursor, aim);
+        aim = [wrap(aim[0] + turn[0]), Math.min(90, Math.max(lowest, aim[1] + turn[1]))];
+        aimAt();
         describe();
       } else if (event.key === "Enter" || event.key === " ") pick();
       else return;
       event.preventDefault();
     });
-    place(cursor, aim);
+    aimAt();
   }
   return { element, show };
 }
 
-function place(mark, [azimuth, elevation]) {
-  mark.setAttribute("transform", `translate(${at(azimuth, elevation).map((v) => v.toFixed(2)).join(" ")})`);
+function place(mark, xy) {
+  mark.setAttribute("transform", `translate(${xy.map((v) => v.toFixed(2)).join(" ")})`);
 }
 
 function wrap(azimuth) {
   return azimuth > 180 ? azimuth - 360 : azimuth <= -180 ? azimuth + 360 : azimuth;
 }
 
-function pointed(drawing, event) {
+function pointed(drawing, event, lowest) {
   const point = new DOMPoint(event.clientX, event.clientY).matrixTransform(drawing.getScreenCTM().inverse());
   const r = Math.min(Math.hypot(point.x, point.y), R);
   const azimuth = r < 1 ? 0 : Math.round((Math.atan2(-point.y, point.x) * 180) / Math.PI);
-  return [azimuth, Math.round(90 - (r / R) * 90)];
+  return [azimuth, Math.round(90 - (r / R) * (90 - lowest))];
 }
 
 /** Reachable directions, rings of equal elevation, and their labels. */
-function ground({ range }) {
+function ground({ range }, at, lowest) {
   const rings = [0, 30, 60].map((elevation) => s("circle", { r: at(0, elevation)[0], class: elevation === 0 ? "horizon" : "ring" }));
   const spokes = s("path", { d: `M${-R} 0H${R}M0 ${-R}V${R}`, class: "ring" });
   const corner = { "text-anchor": "middle", class: "axis" };
@@ -95,13 +112,13 @@ function ground({ range }) {
     s("text", { ...corner, x: 0, y: R + 15 }, degrees(-90)),
     ...[30, 60].map((elevation) => s("text", { class: "axis", x: 3, y: at(0, elevation)[0] - 3 }, degrees(elevation))),
   ];
-  return [s("circle", { r: R, class: "sky" }), range ? s("path", { d: reach(range), class: "reach", "fill-rule": "evenodd" }) : null, ...rings, spokes, ...labels].filter(Boolean);
+  return [s("circle", { r: R, class: "sky" }), range ? s("path", { d: reach(range, at, lowest), class: "reach", "fill-rule": "evenodd" }) : null, ...rings, spokes, ...labels].filter(Boolean);
 }
 
-function reach({ azimuth, elevation }) {
-  const [low, high] = elevation ?? [0, 90];
+function reach({ azimuth, elevation }, at, lowest) {
+  const [low, high] = elevation ?? [lowest, 90];
   const [from, to] = azimuth ?? [-180, 180];
-  const [outer, inner] = [at(0, low)[0], at(0, Math.min(high, 90))[0]];
+  const [outer, inner] = [at(0, Math.max(low, lowest))[0], at(0, Math.min(high, 90))[0]];
   const circle = (r) => `M${r} 0A${r} ${r} 0 1 1 ${-r} 0A${r} ${r} 0 1 1 ${r} 0Z`;
   if (to - from >= 359.5) return circle(outer) + (inner > 0.5 ? circle(inner) : "");
   const large = to - from > 180 ? 1 : 0;
@@ -110,7 +127,7 @@ function reach({ azimuth, elevation }) {
 }
 
 /** Camera, lights, where the lamp is and where it is to go. */
-function marks({ camera, lights = [], position, target, lamp }) {
+function marks({ camera, lights = [], position, target, lamp }, at) {
   const eye = camera ? at(camera.azimuth_deg, camera.elevation_deg) : [0, 0];
   const shift = (xy) => ({ transform: `translate(${xy.map((v) => v.toFixed(2)).join(" ")})` });
   return [

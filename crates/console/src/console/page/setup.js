@@ -13,7 +13,7 @@ import { watch } from "./stream.js";
 const SECTIONS = [
   ["name", "Name", /^name$/],
   ["camera", "Camera", /^(camera|camera_address|width_px|height_px|bit_depth|mosaic)$/],
-  ["lens", "Lens", /^(lens|field_width_mm|focal_mm|pixel_um|f_number|camera_distance_mm|housing.*)$/],
+  ["lens", "Lens", /^(lens|field_width_mm|focal_mm|pixel_um|f_number|camera_(distance_mm|tilt_deg)|housing.*)$/],
   ["sample", "Sample", /^(sample_|groove_|mesh_)/],
   ["stage", "Stage", /^(stage|port|lamp_distance_mm|lights|dmx_first|mechanism|azimuth_|elevation_|[xy]_|first_|second_)/],
   ["lamp", "Lamp", /^(lamp$|grbl_|zaber_|warm_up_s)/],

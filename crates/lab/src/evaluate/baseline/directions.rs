@@ -15,7 +15,7 @@ use crate::brdf::HalfDifference;
 use crate::random::{Purpose, stream};
 
 /// Least cosine of either direction: 80°.
-const LEAST_COSINE: f32 = 0.173_648;
+pub const LEAST_COSINE: f32 = 0.173_648;
 /// Angles of the candidates: θh in equal steps of its square root, θd and φd evenly.
 const CANDIDATES: [usize; 3] = [18, 9, 6];
 /// Random starts of an exchange.

@@ -11,8 +11,10 @@ use super::lab::{Lab, Material};
 use crate::brdf::TabulatedBrdf;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, stream};
-use components::{Components, Training};
-use directions::{Pair, best_lights, best_pairs, candidates, sphere_pairs};
+use components::Components;
+pub(super) use components::Training;
+pub(super) use directions::{LEAST_COSINE, Pair};
+use directions::{best_lights, best_pairs, candidates, sphere_pairs};
 
 /// Errors of all materials, sorted, for every kind of measurement.
 pub static BASELINE: Experiment = Experiment {
@@ -89,16 +91,39 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let case = |material: &Arc<Material>| {
         let (training, material) = (training.clone(), material.clone());
         Case::new(material.name.clone(), move |lab: &Lab| {
-            let shape = if lab.settings.quick {
-                QUICK_SHAPE
-            } else {
-                SHAPE
-            };
+            let shape = table_shape(lab);
             let training = training.get_or_init(|| Training::embedded(shape));
             one(lab, training, shape, &material)
         })
     };
     Ok(lab.materials.iter().map(case).collect())
+}
+
+/// Nodes of the tables of a run.
+pub(super) fn table_shape(lab: &Lab) -> [usize; 3] {
+    match lab.settings.quick {
+        true => QUICK_SHAPE,
+        false => SHAPE,
+    }
+}
+
+/// Prior and noise weigh as published: the coefficients' variance is one over the number of
+/// columns, so η grows with it.
+fn ridge(components: &Components<'_>) -> f64 {
+    PUBLISHED_RIDGE * components.columns() as f64 / PUBLISHED_COLUMNS
+}
+
+/// What the method makes of values of f (1/sr) at pairs of directions, having learned from all
+/// materials but this one.
+pub(super) fn linear(
+    training: &Training,
+    material: &Material,
+    pairs: &[Pair],
+    values: &[[f64; 3]],
+) -> Result<TabulatedBrdf, EvaluateError> {
+    let components = training.without(&material.name);
+    let at = components.rows(pairs);
+    Ok(components.reconstruct(&at, values, ridge(&components))?)
 }
 
 fn one(
@@ -109,9 +134,7 @@ fn one(
 ) -> Result<Vec<Row>, EvaluateError> {
     let truth = &*material.brdf;
     let components = training.without(&material.name);
-    // Prior and noise weigh as published: the coefficients' variance is one over the number of
-    // columns, so η grows with it.
-    let ridge = PUBLISHED_RIDGE * components.columns() as f64 / PUBLISHED_COLUMNS;
+    let ridge = ridge(&components);
     let table = TabulatedBrdf::from_brdf(shape, truth);
     let table_error = lab.score(&table, truth).environment;
     let mut rows = Vec::new();

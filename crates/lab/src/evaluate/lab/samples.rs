@@ -69,6 +69,7 @@ impl Sample {
             Self::ConcaveCorner => corner(std::f32::consts::FRAC_1_SQRT_2),
             Self::Sphere => Shape::Cap {
                 radius_mm: 1.0,
+                opening_deg: 90.0,
                 segments,
             },
             Self::Bowl => Shape::Bowl {
