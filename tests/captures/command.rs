@@ -289,7 +289,8 @@ fn a_holder_is_captured_and_known_to_the_fit() {
     let dictionary = Arc::new(Dictionary::rig26());
     let images = Captured::new(&scene, &images, &CellOptions::default()).unwrap();
     let fit = fit(&scene, &images, &dictionary, &options).unwrap();
-    let untold = intervals::table(&fit.material, &[], &[halves[at_40_deg]], &[0.0], 90.0)[0].value[1];
+    let untold =
+        intervals::table(&fit.material, &[], &[halves[at_40_deg]], &[0.0], 90.0)[0].value[1];
 
     let errors = [known, untold].map(|f| f / (0.8 / std::f64::consts::PI) - 1.0);
     println!(

@@ -185,8 +185,9 @@ pub(super) fn fit_on_bench(
         .collect();
     let prior = Prior::without(&options.left_out);
     let with_discrepancy = timings.time("images", || {
-        (discrepancy > 0.0)
-            .then(|| DiscrepancyModel::of_all(&objective, scene, &material, &prior, options.cache.seed))
+        (discrepancy > 0.0).then(|| {
+            DiscrepancyModel::of_all(&objective, scene, &material, &prior, options.cache.seed)
+        })
     });
     let objective = match &with_discrepancy {
         Some(model) => objective.with_discrepancy(model),

@@ -142,8 +142,9 @@ pub(super) fn posterior(
         )
     };
     let prior = Prior::without(&options.left_out);
-    let model_of =
-        |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, &prior, seed);
+    let model_of = |material: &Material| {
+        DiscrepancyModel::of_compared(objective, scene, material, &prior, seed)
+    };
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
 

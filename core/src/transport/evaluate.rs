@@ -207,7 +207,9 @@ impl<'a, const B: usize, const C: usize> Pass<'a, B, C> {
             kernel,
             groups: chunks.chunks(per_group).collect(),
             mixture: Mixture::new(&cache.atoms, weights, discrepancy.factors),
-            modes: discrepancy.modes.map(|modes| modes.transpose().map(|v| v as f32)),
+            modes: discrepancy
+                .modes
+                .map(|modes| modes.transpose().map(|v| v as f32)),
         }
     }
 }

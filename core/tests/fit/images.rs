@@ -170,7 +170,8 @@ fn the_truth_comes_back_through_interreflections() {
         );
         // Cells of one fit err together, so fewer than 95% may hold the truth; and hardly
         // any is told much better than by the prior of few atoms (docs/adr/0006).
-        let true_cells = intervals::table(&Material::from(truth.clone()), &[], &theta, &theta, 90.0);
+        let true_cells =
+            intervals::table(&Material::from(truth.clone()), &[], &theta, &theta, 90.0);
         let held = cells.iter().zip(&true_cells).flat_map(|(cell, truth)| {
             (0..3).map(move |c| (cell.lower[c]..=cell.upper[c]).contains(&truth.value[c]))
         });

@@ -18,10 +18,10 @@ use crate::calibration::slanted_edge::EdgeError;
 use crate::calibration::white::{Region, WhiteError};
 use crate::capture::open::OpenError;
 use crate::config::BuildError;
-use crate::shown::nth;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::bracket_files::BracketError;
 use crate::radiometry::response::ResponseError;
+use crate::shown::nth;
 use crate::workflow::WorkflowError;
 
 /// A calibration made no record. A wrapped error shows its own text and is the `source`.

@@ -140,7 +140,13 @@ fn end<W: Worker>(queue: &mut Queue, worker: &W) -> Result<bool, W::Error> {
         last: queue.last(),
         left_out: left_out.first().map(String::as_str),
     };
-    if matches!(question, Question::Done { last: None, left_out: None }) {
+    if matches!(
+        question,
+        Question::Done {
+            last: None,
+            left_out: None
+        }
+    ) {
         return Ok(false);
     }
     match worker.ask(question)? {

@@ -81,7 +81,12 @@ const CORRUPTIONS: &[(&str, &str, &str, &str)] = &[
     ("discrepancy.csv", "ln_factor_g", "g", "ln_factor_g"),
     ("discrepancy.csv", ",0.1,", ",60.0,", "ln_factor_r"),
     ("discrepancy.csv", "1.0,12.0", "1.0,13.0", "theta_d_deg"),
-    ("discrepancy.csv", "82.0,88.0,0.1,-0.2,0.0,0.0,0.0,0.0\n", "", "rows"),
+    (
+        "discrepancy.csv",
+        "82.0,88.0,0.1,-0.2,0.0,0.0,0.0,0.0\n",
+        "",
+        "rows",
+    ),
 ];
 
 const FILES: [&str; 5] = [
