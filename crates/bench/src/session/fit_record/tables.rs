@@ -317,6 +317,9 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
     Ok(table)
 }
 
+/// Angles, ln of the factor and its slope along cos 2φd, of R, G and B.
+type DiscrepancyRow = ([f64; 2], [f64; 3], [f64; 3]);
+
 pub(super) fn discrepancy_from_csv(
     path: &Path,
     csv: &str,
@@ -334,7 +337,7 @@ pub(super) fn discrepancy_from_csv(
         (&DISCREPANCY_COLUMNS[..], nodes.collect())
     };
     let source = Source { path, columns };
-    let rows: Vec<(u64, ([f64; 2], [f64; 3], [f64; 3]))> = if earlier {
+    let rows: Vec<(u64, DiscrepancyRow)> = if earlier {
         let rows = source.rows::<([f64; 2], [f64; 3])>(csv)?.into_iter();
         rows.map(|(line, (angles, even))| (line, (angles, even, [0.0; 3])))
             .collect()
