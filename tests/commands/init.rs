@@ -395,6 +395,7 @@ fn a_session_at_a_terminal() {
     terminal.answer("Lens", "");
     terminal.answer("Width of the field of view", "30");
     terminal.answer("Distance from the lens", "");
+    terminal.answer("Angle of the camera's axis", "");
     terminal.answer("stand in the lamp's way", "no");
     terminal.answer("Shape of the sample", "2");
     terminal.answer("Radius of the sample", "14");

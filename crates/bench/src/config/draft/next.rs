@@ -67,7 +67,7 @@ impl Draft {
             },
             match is_telecentric {
                 true => {
-                    "magnification and distortion, from a checkerboard that lies flat, taken by rig capture --lights 1 --sample board --no-fit"
+                    "magnification and distortion, from a checkerboard that faces it squarely, taken by rig capture --lights 1 --sample board --no-fit"
                 }
                 false => {
                     "focal length and distortion, from six or more views of a checkerboard, tilted, each taken by rig capture --lights 1 --sample board --no-fit"
