@@ -217,7 +217,10 @@ fn plans_of_the_shipped_benches_are_scored() {
         assert_eq!(elevations.len(), 4, "{row}");
         // Lights for a camera on the axis are not near the horizon.
         let name = row["rig"].as_str().unwrap();
-        let (_, file) = rig::config::BUILT_IN.iter().find(|of| of.0 == name).unwrap();
+        let (_, file) = rig::config::BUILT_IN
+            .iter()
+            .find(|of| of.0 == name)
+            .unwrap();
         let config = rig::config::RigConfig::parse(name, Path::new(""), file).unwrap();
         let is_tilted = config.geometry.coaxial().z < 0.99;
         assert!(
