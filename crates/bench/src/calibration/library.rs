@@ -99,8 +99,8 @@ pub enum RecordError {
 
 impl Library {
     /// The rig's library: the folder its file names; else `calibration/<rig>`
-    /// next to the rig file, above it, or in the working folder. The simulated rigs with the
-    /// sensor of [`built_in::SIMULATED`] have the built-in ones in addition.
+    /// next to the rig file, above it, or in the working folder. Simulated rigs with the
+    /// sensor of a built-in one have its records in addition.
     pub fn of_rig(rig: &ResolvedRig) -> Self {
         if let Some(folder) = &rig.config.calibration.folder {
             return Self::Folder(folder.clone());
