@@ -8,7 +8,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rayon::prelude::*;
-use rig::brdf::discrepancy::{Discrepancy, Material, NODES};
+use rig::brdf::discrepancy::{Discrepancy, Material, VALUES};
 use rig::brdf::environment::{self, EnvironmentMap};
 use rig::brdf::sphere::sphere_image;
 use rig::brdf::{Atom, Brdf as _, Dictionary, HalfDifference, Mixture, check, fitted, nbrdf};
@@ -423,10 +423,14 @@ impl Brdf {
     ) -> PyResult<Self> {
         let dictionary = Arc::new(dictionary_of(atoms)?);
         let mixture = Mixture::new(dictionary, weights).map_err(Fault::from)?;
-        if discrepancies.iter().any(|values| values.len() != NODES) {
-            return Err(input(format!("discrepancies have other than {NODES} values each")).into());
-        }
-        let discrepancies = discrepancies.map(|values| Discrepancy(values.into()));
+        let of_values = discrepancies.map(|values| Discrepancy::from_values(&values));
+        let discrepancies: Option<Vec<_>> = of_values.into_iter().collect();
+        let wrong = || {
+            input(format!(
+                "discrepancies have other than {VALUES} values each"
+            ))
+        };
+        let discrepancies = discrepancies.ok_or_else(wrong)?;
         Ok(Self::of_parts(Material::new(mixture, &discrepancies), name))
     }
 }

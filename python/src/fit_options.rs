@@ -146,6 +146,9 @@ pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<
 
 /// Names of embedded materials.
 fn embedded(names: Vec<String>) -> PyResult<Vec<String>> {
+    // `materials()` has them as `Brdf.load` takes them.
+    let plain = |name: &String| name.strip_prefix("nbrdf:").unwrap_or(name).to_owned();
+    let names: Vec<String> = names.iter().map(plain).collect();
     let unknown = names.iter().find(|name| !NAMES.contains(&name.as_str()));
     match unknown {
         None => Ok(names),
