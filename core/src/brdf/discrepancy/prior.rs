@@ -43,18 +43,11 @@ impl Prior {
     pub fn without(left_out: &[String]) -> Arc<Self> {
         static KNOWN: OnceLock<Mutex<HashMap<Vec<String>, Arc<Prior>>>> = OnceLock::new();
         let learned = departures();
-        let left_out: Vec<String> = learned
-            .iter()
-            .filter(|of| {
-                let named = learned
-                    .iter()
-                    .filter(|m| left_out.iter().any(|n| n == m.name));
-                named
-                    .into_iter()
-                    .any(|named| named.distance(of) < NEAR_DUPLICATE)
-            })
-            .map(|of| of.name.to_owned())
-            .collect();
+        let is_named = |of: &&Learned| left_out.iter().any(|name| name == of.name);
+        let named: Vec<&Learned> = learned.iter().filter(is_named).collect();
+        let is_like = |of: &&Learned| named.iter().any(|n| n.distance(of) < NEAR_DUPLICATE);
+        let like = learned.iter().filter(is_like);
+        let left_out: Vec<String> = like.map(|of| of.name.to_owned()).collect();
         let known = KNOWN.get_or_init(Mutex::default);
         let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
         let learn = || Arc::new(Self::learned(left_out.clone()));
