@@ -24,7 +24,8 @@
 //! |---|---|
 //! | [`rig_core`] | [`brdf`], [`geometry`], [`transport`], [`inverse`] and what they stand on |
 //! | [`rig_device`] | [`device`], [`radiometry`], [`interrupt`] |
-//! | [`rig_bench`] | [`config`], [`session`], [`calibration`], [`simulation`], [`capture`], [`catalogue`], [`workflow`], [`queue`] |
+//! | [`rig_setup`] | [`config`], [`calibration`], [`simulation`] |
+//! | [`rig_bench`] | [`session`], [`calibrating`], [`capture`], [`catalogue`], [`workflow`], [`queue`] |
 //! | [`rig_desk`] | [`material`], [`export`], [`report`], [`batch`] |
 //! | [`rig_lab`] | [`evaluate`], [`benchmark`] |
 //! | `rig_console` | `console` |
@@ -35,11 +36,9 @@ pub use rig_core::{
     scores, shown, simplex, statistics, transport, units, whole_file,
 };
 
-#[cfg(feature = "figures")]
-pub use rig_bench::plot;
 pub use rig_bench::{
-    beneath, calibrating, calibration, capture, catalogue, checksum, config, doctor, fault, queue,
-    rendering, session, shell_words, simulation, workflow, write_queue,
+    beneath, calibrating, capture, catalogue, doctor, fault, queue, rendering, session, workflow,
+    write_queue,
 };
 #[cfg(feature = "console")]
 pub use rig_console::console;
@@ -50,6 +49,9 @@ pub use rig_device::{device, interrupt, radiometry};
 pub use rig_lab::benchmark;
 #[cfg(feature = "experiments")]
 pub use rig_lab::{evaluate, job_array};
+#[cfg(feature = "figures")]
+pub use rig_setup::plot;
+pub use rig_setup::{calibration, checksum, config, shell_words, simulation};
 
 pub mod cli;
 

@@ -84,9 +84,10 @@ fn identifier(text: &str) -> String {
 }
 
 /// The folders of the crates' sources.
-const CRATES: [&str; 7] = [
+const CRATES: [&str; 8] = [
     "core/src",
     "crates/device/src",
+    "crates/setup/src",
     "crates/bench/src",
     "crates/desk/src",
     "crates/lab/src",

@@ -59,12 +59,12 @@ or the limits in the rig file's [stage] table | a stage that reaches nothing
 `rig fit SESSION` makes a fit that is journalled | a fit copied into a session
 `rig session verify` lists every damaged file | a report of a damaged sidecar
 the fit was changed by hand or damaged | a fit that was edited
-# Calibration records: `crates/bench/src/calibration` and `tests/commands/calibrate.rs`.
+# Calibration records: `crates/setup/src/calibration` and `tests/commands/calibrate.rs`.
 the permissions of the calibration folder | a folder that cannot be read
 correct the id in the rig file's [calibration] table | a record that is gone
 or name a record that belongs to them | a record of another camera
 give the new record another id | two records of one second
-# Lenses that views of a board do not determine: `crates/bench/src/calibration/camera`.
+# Lenses that views of a board do not determine: `crates/setup/src/calibration/camera`.
 add views with the board in the corners | a board in the middle alone
 tilt the board by 20 to 40 degrees | boards of one tilt
 the board must be flat and stand still | a board that is not flat

@@ -1,5 +1,5 @@
-//! The bench from a rig file to a fitted session: what is on disk, what calibrates it, how a
-//! capture is planned and run, simulated or real, and how its session is fitted.
+//! The bench at work, from a rig file to a fitted session: how it is examined and calibrated,
+//! how a capture is planned and run, simulated or real, what is on disk, how it is fitted.
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
@@ -10,22 +10,18 @@ use rig_core::{
 };
 
 use rig_device::{device, interrupt, radiometry};
+#[cfg(feature = "figures")]
+use rig_setup::plot;
+use rig_setup::{calibration, checksum, config, shell_words, simulation};
 
 pub mod beneath;
 pub mod calibrating;
-pub mod calibration;
 pub mod capture;
 pub mod catalogue;
-pub mod checksum;
-pub mod config;
 pub mod doctor;
 pub mod fault;
-#[cfg(feature = "figures")]
-pub mod plot;
 pub mod queue;
 pub mod rendering;
 pub mod session;
-pub mod shell_words;
-pub mod simulation;
 pub mod workflow;
 pub mod write_queue;

@@ -4,12 +4,9 @@
 
 use rig_core::{brdf, file_system, geometry, radiance_image, shown, transport, units};
 
-use rig_bench::plot;
-use rig_bench::{
-    beneath, calibration, capture, catalogue, checksum, config, fault, queue, session, shell_words,
-    workflow,
-};
+use rig_bench::{beneath, capture, catalogue, fault, queue, session, workflow};
 use rig_desk::{export, report};
 use rig_device::{device, radiometry};
+use rig_setup::{calibration, checksum, config, plot, shell_words, simulation};
 
 pub mod console;

@@ -3,16 +3,19 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
-#[cfg(feature = "figures")]
-use rig_bench::plot;
 #[cfg(feature = "reports")]
-use rig_bench::{calibration, config, queue};
-use rig_bench::{catalogue, checksum, fault, session, shell_words, workflow};
+use rig_bench::queue;
+use rig_bench::{catalogue, fault, session, workflow};
 use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
 #[cfg(feature = "reports")]
 use rig_core::{inverse, radiance_image, transport, units};
 #[cfg(feature = "reports")]
 use rig_device::device;
+#[cfg(feature = "figures")]
+use rig_setup::plot;
+#[cfg(feature = "reports")]
+use rig_setup::{calibration, config};
+use rig_setup::{checksum, shell_words};
 
 #[cfg(feature = "reports")]
 pub mod batch;

@@ -3,7 +3,7 @@
 //! Part of `rig`, whose library re-exports these modules.
 
 #[cfg(feature = "experiments")]
-use rig_bench::{calibration, capture, checksum, config, plot, simulation, workflow};
+use rig_bench::{capture, workflow};
 use rig_core::{bench_priors, brdf, cells, frames, geometry, inverse, random, transport};
 #[cfg(feature = "experiments")]
 use rig_core::{file_system, outside_file, radiance_image, simplex, statistics, units, whole_file};
@@ -11,6 +11,8 @@ use rig_core::{file_system, outside_file, radiance_image, simplex, statistics, u
 use rig_desk::{cluster, result_table};
 #[cfg(feature = "experiments")]
 use rig_device::{device, radiometry};
+#[cfg(feature = "experiments")]
+use rig_setup::{calibration, checksum, config, plot, simulation};
 
 pub mod benchmark;
 #[cfg(feature = "experiments")]

@@ -4,7 +4,7 @@
 //! ```no_run
 //! use rig_bench::capture::open::{OpenOptions, open_devices};
 //! use rig_bench::capture::prepare::{CaptureRequest, Lights, prepare};
-//! use rig_bench::config::{Surroundings, resolve_rig};
+//! use rig_setup::config::{Surroundings, resolve_rig};
 //! use rig_device::interrupt::Interrupt;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {

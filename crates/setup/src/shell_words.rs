@@ -29,7 +29,7 @@ pub fn quoted(text: &str) -> String {
 /// quotes, double quotes and backslashes. `None` where a quote or a backslash is left open.
 ///
 /// ```
-/// use rig_bench::shell_words::split;
+/// use rig_setup::shell_words::split;
 /// let words = split("--mask 'my mask.png' --seed 3").unwrap();
 /// assert_eq!(words, ["--mask", "my mask.png", "--seed", "3"]);
 /// assert_eq!(split("--mask 'my"), None);

@@ -5,7 +5,7 @@ use sha2::{Digest, Sha256};
 /// SHA-256 of bytes, 64 lowercase hexadecimal digits.
 ///
 /// ```
-/// assert!(rig_bench::checksum::sha256_hex(b"abc").starts_with("ba7816bf"));
+/// assert!(rig_setup::checksum::sha256_hex(b"abc").starts_with("ba7816bf"));
 /// ```
 pub fn sha256_hex(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))

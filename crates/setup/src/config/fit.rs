@@ -63,8 +63,8 @@ const KERNELS: [Choice<Option<Kernel>>; 4] = [
 /// Choices for a fit. What is `None` is as the rig file's `[fit]` table has it (a session), else
 /// as in [`FitOptions::default`].
 ///
-/// The record of a fit holds it in serialised form, in addition to the
-/// [settings](crate::session::fit_record::FitSettings) that every fit has.
+/// The record of a fit holds it in serialised form, in addition to the settings that every
+/// fit has.
 //
 // `std::option::Option` is an option whose value on the command line may be none.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
