@@ -47,8 +47,8 @@ mod console {
     use super::super::exit::Exit;
     use super::super::interrupt;
     use super::*;
-    use crate::console::bench::{self, Bench, BenchPorts, Opened};
     use crate::console::control::Control;
+    use crate::console::held_devices::{self, BenchPorts, HeldDevices, Opened};
     use crate::console::hub::Hub;
     use crate::console::picture::levels::{SensorLevels, SensorRecords};
     use crate::console::picture::outline_routes;
@@ -75,11 +75,11 @@ mod console {
         let facts = facts(shown.rig.as_ref(), shown.camera.info().model.as_str());
         let config = shown.rig.as_ref().map(|rig| rig.config.clone());
         let ports = ports(shown);
-        let bench = Bench::new(hub.clone(), ports)?;
+        let bench = HeldDevices::new(hub.clone(), ports)?;
         // The first page finds its picture; it cannot fail before.
         drop(bench.connect());
         let address = server.address();
-        let routes = bench::routes(bench.clone()).merge(outline_routes(config, advisor()));
+        let routes = held_devices::routes(bench.clone()).merge(outline_routes(config, advisor()));
         let running = server.start(Parts {
             hub,
             control,

@@ -20,11 +20,11 @@ use super::output::write_path;
 use super::rig_choice::RigArg;
 use super::{bench_ports, definition, interrupt};
 use crate::config::{Origin, ResolvedRig, RigConfig};
-use crate::console::bench::{self, Bench};
 use crate::console::catalogue::{self, SessionPages};
 use crate::console::control::Control;
 use crate::console::facts::{Mode, facts};
 use crate::console::frames;
+use crate::console::held_devices::{self, HeldDevices};
 use crate::console::hub::Hub;
 use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
@@ -294,7 +294,7 @@ fn is_urgent(woken: &Receiver<Woken>) -> bool {
 /// A console that answers.
 struct Console {
     jobs: Jobs,
-    bench: Bench,
+    bench: HeldDevices,
     _server: Running,
 }
 
@@ -312,7 +312,7 @@ impl Console {
             folder: folder.clone(),
         };
         let jobs = Jobs::new(program, hub.clone());
-        let bench = Bench::new(hub.clone(), bench_ports::of_rig(rig, &control))?;
+        let bench = HeldDevices::new(hub.clone(), bench_ports::of_rig(rig, &control))?;
         let pages = Arc::new(SessionPages::new(folder, bench_ports::advisor()));
 
         // A capture gets the devices that the bench holds.
@@ -339,7 +339,7 @@ impl Console {
 
         // The server.
         let routes = jobs::routes(jobs.clone())
-            .merge(bench::routes(bench.clone()))
+            .merge(held_devices::routes(bench.clone()))
             .merge(frames::routes(&jobs))
             .merge(outline_routes(
                 Some(rig.config.clone()),

@@ -120,20 +120,20 @@ fn of_type<E: Error + 'static, A: Into<Option<String>>>(
 
 /// The error is of a device, and its own advice would be the wrong one.
 #[cfg(feature = "console")]
-fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
+fn for_unstopped(_: &crate::console::held_devices::Unstopped) -> String {
     "stop the stage at its supply or by its emergency stop: it may still move, and its lamp be lit"
         .to_owned()
 }
 
 #[cfg(feature = "console")]
-fn for_not_stopped(_: &crate::console::bench::NotStopped) -> String {
+fn for_not_stopped(_: &crate::console::held_devices::NotStopped) -> String {
     "end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
         .to_owned()
 }
 
 /// The error is of a device, and its own advice would be the wrong one.
 #[cfg(feature = "console")]
-fn for_disobeyed(_: &crate::console::bench::LampDisobeyed) -> String {
+fn for_disobeyed(_: &crate::console::held_devices::LampDisobeyed) -> String {
     "look at the lamp: if it is still lit, turn it off at its supply or by the emergency stop; correct the commands of [[stage.lamp]] and lamp_off in the rig file, and home the stage before the next move"
         .to_owned()
 }

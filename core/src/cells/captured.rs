@@ -7,7 +7,7 @@ use super::{CellOptions, Grid, choose};
 use crate::radiance_image::RadianceImage;
 use crate::shown::nth;
 use crate::transport::Scene;
-use crate::transport::cells::{Cell, Cells};
+use crate::transport::cell_footprints::{Cell, Cells};
 use crate::transport::event::MAX_LIGHTS;
 
 /// What is compared: for each light the mean over every cell.

@@ -17,7 +17,7 @@ use std::collections::BinaryHeap;
 use crate::bench_priors::BenchPriors;
 use crate::brdf::{Atom, Dictionary};
 use crate::transport::Scene;
-use crate::transport::cells::{Cell, FIELD_PARTS};
+use crate::transport::cell_footprints::{Cell, FIELD_PARTS};
 
 pub(crate) use captured::check_count;
 pub use captured::{AverageError, Averager, Captured, CellImage};

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{CellOptions, Square};
 use crate::transport::Scene;
-use crate::transport::cells::{Cell, FIELD_PARTS};
+use crate::transport::cell_footprints::{Cell, FIELD_PARTS};
 use crate::transport::scene::Surface;
 
 /// Most lattice points along the longer side of an image.

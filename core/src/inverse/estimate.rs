@@ -8,7 +8,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::discrepancy::Eliminated;
+use super::discrepancy_fit::Eliminated;
 use super::solve::per_channel;
 use super::uncertainty::PosteriorSamples;
 use crate::brdf::Mixture;

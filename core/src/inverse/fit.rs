@@ -5,11 +5,11 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use super::average::averaged;
-use super::bench::system::BenchLinearisation;
 use super::comparison::Comparison;
 use super::diagnosis::{self, Diagnosis, Examined};
 use super::findings::{self, Finding, Judged};
 use super::intervals::{self, Interval};
+use super::nuisance::system::BenchLinearisation;
 use super::objective::DiscrepancyModel;
 use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};

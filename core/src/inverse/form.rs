@@ -7,8 +7,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
 use super::normal_equations::with_eigenvalues;
+use super::nuisance::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
 use super::objective::{Objective, ResidualWeights};
 use crate::brdf::Mixture;
 use crate::geometry::FormError;

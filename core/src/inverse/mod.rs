@@ -2,11 +2,10 @@
 //! they can say about their own error.
 
 mod average;
-pub mod bench;
 pub mod budget;
 pub mod comparison;
 pub mod diagnosis;
-mod discrepancy;
+mod discrepancy_fit;
 mod estimate;
 pub mod exponentiated_gradient;
 pub mod findings;
@@ -17,6 +16,7 @@ pub mod intervals;
 pub mod light_selection;
 pub mod memory;
 mod normal_equations;
+pub mod nuisance;
 pub mod objective;
 pub mod options;
 mod posterior;
@@ -29,8 +29,8 @@ pub mod uncertainty;
 mod unexplained;
 pub mod variance_shares;
 
-pub use bench::{RefineOptions, refine_bench};
 pub use fit::{Fit, fit, fit_with_progress};
 pub use intervals::Interval;
+pub use nuisance::{RefineOptions, refine_bench};
 pub use objective::Channels;
 pub use options::{FitError, FitOptions, Optimizer};

@@ -20,14 +20,14 @@ use crate::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
 mod compared;
-mod discrepancy;
+mod discrepancy_equations;
 mod modelled;
 mod noise;
 mod pass;
 mod stray_light;
 
 pub use compared::Value;
-pub use discrepancy::DiscrepancyModel;
+pub use discrepancy_equations::DiscrepancyModel;
 pub use modelled::Modelled;
 pub use noise::ScoreNoise;
 pub use pass::Linearised;

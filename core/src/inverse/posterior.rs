@@ -4,11 +4,11 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::bench::BenchCoupling;
-use super::bench::system::BenchLinearisation;
-use super::discrepancy::{Eliminated, LinearizationPoint};
+use super::discrepancy_fit::{Eliminated, LinearizationPoint};
 use super::estimate::{estimate, mean_of_samples};
 use super::form;
+use super::nuisance::BenchCoupling;
+use super::nuisance::system::BenchLinearisation;
 use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::options::{FitError, FitOptions, Optimizer};
 use super::solve::{Paths, Solved, per_channel};
@@ -52,7 +52,7 @@ impl Posterior {
         let energy = EnergyBound::new(self.material.mixture.dictionary());
         let (material, albedo) = energy.bound(&self.material);
         self.material = material;
-        let (seen, fields) = (seen(), discrepancy::standard_modes());
+        let (seen, fields) = (seen(), discrepancy_fit::standard_modes());
         self.posterior_samples
             .par_iter_mut()
             .enumerate()
@@ -223,7 +223,7 @@ mod tests {
     use super::*;
     use crate::brdf::{Atom, Brdf, Dictionary};
     use crate::cells::{Captured, CellOptions};
-    use crate::inverse::discrepancy::free_modes;
+    use crate::inverse::discrepancy_fit::free_modes;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::solve::solve;
     use crate::radiance_image::RadianceImage;

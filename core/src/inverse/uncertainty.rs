@@ -10,10 +10,10 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
-use super::discrepancy::Eliminated;
+use super::discrepancy_fit::Eliminated;
 use super::normal_equations::{MIN_SCATTER, Signal, above_noise, scatter, with_eigenvalues};
+use super::nuisance::{BenchCoupling, Parameter};
 use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
 use crate::brdf::discrepancy::Discrepancy;

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::cells::Cells;
+use super::cell_footprints::Cells;
 use super::continuation::{Continuations, PathMode, Steering};
 use super::event::{Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;

@@ -4,7 +4,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::cells::Cells;
+use super::cell_footprints::Cells;
 use super::event::LaneAtoms;
 use super::points::{Sampler, SobolSampler};
 use super::scene::{Connection, Scene, Surface};

@@ -4,7 +4,7 @@
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use super::cells::Cells;
+use super::cell_footprints::Cells;
 use super::direct::for_each_lit;
 use super::scene::Scene;
 use crate::brdf::Brdf;

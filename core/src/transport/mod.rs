@@ -32,7 +32,7 @@
 pub mod cache;
 pub mod camera;
 pub mod camera_body;
-pub mod cells;
+pub mod cell_footprints;
 mod continuation;
 pub mod direct;
 pub mod direct_discrepancy;
@@ -57,7 +57,7 @@ pub mod visibility;
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
 pub use camera_body::{CameraBody, CameraShadow, Obstruction};
-pub use cells::Cells;
+pub use cell_footprints::Cells;
 pub use continuation::{Continuations, Steering};
 pub use direct::DirectMatrix;
 pub use distortion::Coefficients;

@@ -9,7 +9,7 @@
 use glam::DVec2;
 
 use super::camera::Camera;
-use super::cells::Cells;
+use super::cell_footprints::Cells;
 use crate::geometry::Ray;
 use crate::random::{Purpose, Stream, Uniform, stream};
 

@@ -7,8 +7,8 @@ use glam::{DVec2, DVec3};
 use super::Examined;
 use crate::brdf::half_difference::HalfDifference;
 use crate::frames::{Rigid, Sample};
-use crate::inverse::bench::derivatives::{DerivativeImages, DerivativeOptions};
-use crate::transport::cells::FIELD_PARTS;
+use crate::inverse::nuisance::derivatives::{DerivativeImages, DerivativeOptions};
+use crate::transport::cell_footprints::FIELD_PARTS;
 use crate::transport::{Cells, Proposal, Scene, Steering};
 
 /// Fields of position that a non-uniform material may follow, over [−1, 1]².
@@ -196,7 +196,7 @@ const BLUR_REACH: f64 = 3.0;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::transport::cells::Cell;
+    use crate::transport::cell_footprints::Cell;
 
     /// Along a line of light that ends, half of it is left at the end and nearly all of it
     /// inside, whatever the cells' sizes; at the image's border nothing is lost.

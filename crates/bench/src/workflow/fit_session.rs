@@ -14,7 +14,7 @@ use crate::calibration::record::Record;
 use crate::config::RigConfig;
 use crate::config::scene_concern::DescribedIn;
 use crate::config::simulation::MaterialSpec;
-use crate::inverse::bench::with_sample_at;
+use crate::inverse::nuisance::with_sample_at;
 use crate::radiance_image::exr::ExrRows;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{self, FitImages, FitRecord, Grade, Warning};

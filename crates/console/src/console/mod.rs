@@ -17,12 +17,12 @@
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
 //! happens to the console can harm it.
 
-pub mod bench;
 mod blocking;
 pub mod catalogue;
 pub mod control;
 pub mod facts;
 pub mod frames;
+pub mod held_devices;
 pub mod hub;
 pub mod jobs;
 pub mod picture;

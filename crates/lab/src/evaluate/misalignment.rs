@@ -7,7 +7,7 @@ use super::lab::capture::{SENSOR, average, photograph};
 use super::lab::{Lab, Material, Sample, misaligned, of_materials};
 use crate::brdf::Dictionary;
 use crate::brdf::score::environment_error_up_to_factor;
-use crate::inverse::bench::Parameter;
+use crate::inverse::nuisance::Parameter;
 use crate::inverse::{Fit, FitError, FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Figure, charts};
 use crate::random::{Purpose, stream};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::inverse::bench::BenchEstimate;
+use crate::inverse::nuisance::BenchEstimate;
 
 /// A bench that was not exactly known, as refined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

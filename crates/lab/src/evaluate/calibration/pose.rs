@@ -7,7 +7,7 @@ use crate::bench_priors::BenchPriors;
 use crate::calibration::pose::{PoseOptions, align};
 use crate::calibration::record::Measured;
 use crate::geometry::Shape;
-use crate::inverse::bench::with_sample_at;
+use crate::inverse::nuisance::with_sample_at;
 use crate::random::{Purpose, stream};
 use crate::simulation::posed_sample::{bowl, corner, photographs, scene, telecentric};
 use crate::transport::Projection;

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 
 use crate::bench_priors::BenchPriors;
-use crate::inverse::bench::{Bench, Parameter};
+use crate::inverse::nuisance::{Nuisance, Parameter};
 use crate::random::Stream;
 use crate::transport::Scene;
 
@@ -31,12 +31,12 @@ pub fn priors() -> BenchPriors {
 }
 
 /// `scene` as the description of a bench with the uncertainties of [`priors`].
-pub fn bench(scene: &Scene) -> Bench {
-    Bench::new(scene, &priors())
+pub fn bench(scene: &Scene) -> Nuisance {
+    Nuisance::new(scene, &priors())
 }
 
 /// The misalignment of one bench: values of its parameters drawn with these errors.
-pub fn draw(bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
+pub fn draw(bench: &Nuisance, numbers: &mut Stream) -> DVector<f64> {
     let parameters = bench.parameters();
     let mut values = DVector::from_fn(parameters.len(), |_, _| numbers.normal());
     // What is scaled together to an exact length.

@@ -13,9 +13,9 @@ use super::search::{WIDEST_DEG, search};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
 use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
-use crate::inverse::bench::parameters::MIN_INFORMATION;
-use crate::inverse::bench::spectrum::Spectrum;
-use crate::inverse::bench::{Bench, Parameter};
+use crate::inverse::nuisance::parameters::MIN_INFORMATION;
+use crate::inverse::nuisance::spectrum::Spectrum;
+use crate::inverse::nuisance::{Nuisance, Parameter};
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 
@@ -106,7 +106,7 @@ fn align_from(
         ..priors.clone()
     };
     let mut aligner = Aligner {
-        bench: Bench::new(scene, &priors),
+        bench: Nuisance::new(scene, &priors),
         sight: Sight::new(scene.sample(), options.subsamples),
         images,
         options,
@@ -188,7 +188,7 @@ fn check_view(scene: &Scene) -> Result<(), PoseError> {
 const LEAST_IN_VIEW_PERCENT: f64 = 10.0;
 
 struct Aligner<'a> {
-    bench: Bench,
+    bench: Nuisance,
     sight: Sight<'a>,
     images: &'a [RadianceImage],
     options: &'a PoseOptions,

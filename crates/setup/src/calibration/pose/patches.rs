@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::regions::{Grid, Part, is_lit};
-use crate::inverse::bench::Parameter;
+use crate::inverse::nuisance::Parameter;
 
 /// Pixels along a patch's side.
 pub const SIDE: usize = 8;

@@ -6,7 +6,7 @@ use super::PoseOptions;
 use super::patches::{SIDE, Target};
 use super::regions::Grid;
 use crate::bench_priors::BenchPriors;
-use crate::inverse::bench::Bench;
+use crate::inverse::nuisance::Nuisance;
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 
@@ -19,7 +19,7 @@ const DARK: f64 = 1e-3;
 /// sample is at most about a pixel away, the finest have at most the options' number.
 pub fn factors(scene: &Scene, priors: &BenchPriors, options: &PoseOptions) -> Vec<usize> {
     let [width, height] = scene.camera.resolution_px;
-    let bench = Bench::new(scene, priors);
+    let bench = Nuisance::new(scene, priors);
     let off_px = (0..bench.parameters().len())
         .filter(|&k| bench.parameters()[k].light().is_none())
         .map(|k| {
@@ -45,7 +45,7 @@ pub fn factors(scene: &Scene, priors: &BenchPriors, options: &PoseOptions) -> Ve
 
 /// Root mean square shift of the mesh's corners in the image against the description, in
 /// the camera's pixels.
-pub fn moved_px(bench: &Bench, values: &DVector<f64>) -> f64 {
+pub fn moved_px(bench: &Nuisance, values: &DVector<f64>) -> f64 {
     let described = bench.scene(&DVector::zeros(values.len()));
     let moved = bench.scene(values);
     let corners = &described.sample().positions_mm;

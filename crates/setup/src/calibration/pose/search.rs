@@ -14,7 +14,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::regions::{Grid, Seen, Sight, is_lit};
-use crate::inverse::bench::with_sample_at;
+use crate::inverse::nuisance::with_sample_at;
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 

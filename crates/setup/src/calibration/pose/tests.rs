@@ -8,7 +8,7 @@ use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Values;
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
-use crate::inverse::bench::with_sample_at;
+use crate::inverse::nuisance::with_sample_at;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::simulation::posed_sample::{SIZE, bowl, corner, photographs, scene, telecentric};

@@ -196,7 +196,7 @@ fn devices(world: &Arc<World>) -> Devices {
     )
 }
 
-fn bench(world: &Arc<World>) -> Bench {
+fn bench(world: &Arc<World>) -> HeldDevices {
     let world = Arc::clone(world);
     let ports = BenchPorts {
         open: Box::new(move || match World::is(&world.is_busy) {
@@ -216,11 +216,11 @@ fn bench(world: &Arc<World>) -> Bench {
         settings: CameraSettings::new(Seconds(10e-3), 1.0),
         silence: Box::new(|| None),
     };
-    Bench::new(Hub::default(), ports).unwrap()
+    HeldDevices::new(Hub::default(), ports).unwrap()
 }
 
 #[track_caller]
-fn wait_for(bench: &Bench, what: &str, is: impl Fn(&State) -> bool) -> State {
+fn wait_for(bench: &HeldDevices, what: &str, is: impl Fn(&State) -> bool) -> State {
     let began = Instant::now();
     loop {
         let state = bench.state();
@@ -233,7 +233,7 @@ fn wait_for(bench: &Bench, what: &str, is: impl Fn(&State) -> bool) -> State {
 }
 
 /// Connected, with the lamp on, in the middle of a move.
-fn lit_and_moving(world: &Arc<World>) -> Bench {
+fn lit_and_moving(world: &Arc<World>) -> HeldDevices {
     let bench = connected(world);
     light(world, &bench);
     bench.move_to(TARGET).unwrap();
@@ -242,14 +242,14 @@ fn lit_and_moving(world: &Arc<World>) -> Bench {
 }
 
 #[track_caller]
-fn connected(world: &Arc<World>) -> Bench {
+fn connected(world: &Arc<World>) -> HeldDevices {
     let bench = bench(world);
     bench.connect().unwrap();
     wait_for(&bench, "connected", |state| state.view.is_some());
     bench
 }
 
-fn picture_number(bench: &Bench) -> u64 {
+fn picture_number(bench: &HeldDevices) -> u64 {
     let marks = Marks {
         limits: true,
         peaking: false,
@@ -369,7 +369,7 @@ fn a_stop_says_what_it_has_reached() {
     assert_eq!(bench.stop(), Err(NotStopped::NotConnected));
 }
 
-fn light(world: &World, bench: &Bench) {
+fn light(world: &World, bench: &HeldDevices) {
     bench.set_lamp(Some(LampChannel(0))).unwrap();
     wait_for(bench, "lit", |state| {
         state.busy.is_none() && World::is(&world.lit)

@@ -1,40 +1,44 @@
-//! Information of the images about the nuisance parameters, in units of their prior.
+//! How much the images say about each combination of nuisance parameters, compared with what
+//! the prior knows already.
 //!
-//! In units of the prior (p = L q, prior covariance L Lᵀ) the information is A = LᵀSL;
-//! along an eigenvector with value λ the posterior variance is 1/(1 + λ) of the
-//! prior's. Directions with small λ are fixed at the prior: depth under a telecentric
-//! camera, a bowl's rotation about its axis, translation along an extrusion, intensity
-//! against albedo. They are found, not listed, and named after the fact.
+//! With the prior covariance LLᵀ and the images' information S, the eigenvalues λ of LᵀSL
+//! compare the two: along an eigenvector the posterior variance is 1/(1 + λ) of the prior's.
+//! Combinations with a small λ keep their prior value, because the images cannot tell: depth
+//! under a telecentric camera, a bowl's rotation about its axis, a shift along an extrusion,
+//! intensity against albedo. None of these is listed in the code; the eigenvectors show them,
+//! and [`Spectrum::fixed`] names them.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::parameters::{Bench, MIN_INFORMATION, Parameter};
+use super::parameters::{MIN_INFORMATION, Nuisance, Parameter};
 use crate::inverse::normal_equations::scatter;
 
-/// Longest step along one direction, in prior deviations: the images are not linear
-/// in the bench beyond.
+/// Longest step along one direction, in prior standard deviations; the images are not linear
+/// in the parameters farther away.
 const MAX_STEP: f64 = 2.0;
 
-/// Variance of an estimate over the prior's where its scores answer to the bench the wrong way
-/// round: it ends anywhere within the prior, as the truth does.
+/// Largest ratio of an estimate's variance to the prior's. It is reached where the gradient
+/// points the wrong way: the estimate then ends anywhere within the prior, independently of the
+/// truth, so that the variances of both add.
 const MAX_VARIANCE: f64 = 2.0;
 
 /// Eigenvalues and directions of the information in units of the prior.
 #[derive(Clone, Debug)]
 pub struct Spectrum {
-    /// λ of each direction; below 0 where the estimate is worse than the prior.
+    /// λ of each direction; negative where the estimate is worse than the prior mean.
     pub values: DVector<f64>,
-    /// Fraction of the images' word that counts along each direction.
+    /// By how much the images' gradient is scaled down along each direction, 0 to 1.
     attenuation: DVector<f64>,
     /// Directions as columns, in units of the prior.
     vectors: DMatrix<f64>,
-    /// L.
+    /// Lower Cholesky factor L of the prior covariance.
     root: DMatrix<f64>,
 }
 
 impl Spectrum {
-    /// Of the information S with the weights eliminated, P × P.
-    pub fn new(bench: &Bench, information: &DMatrix<f64>) -> Self {
+    /// Of the images' information about the P parameters, P × P, after the weights have been
+    /// eliminated from it.
+    pub fn new(bench: &Nuisance, information: &DMatrix<f64>) -> Self {
         let root = bench.prior_root().clone();
         let eigen = SymmetricEigen::new(root.transpose() * information * &root);
         Self {
@@ -45,10 +49,10 @@ impl Spectrum {
         }
     }
 
-    /// Inflates the covariance by the between-block variance of the score (cluster-robust): errors of the model are
-    /// correlated between pixels, and the paths' noise between lights and channels. At least
-    /// `least` times what independent noise would, 1 or more: some of it is common to all
-    /// blocks.
+    /// Widens the covariance to what the gradient's scatter between blocks of pixels says (a
+    /// cluster-robust covariance), because errors of the model are correlated between pixels, and
+    /// the noise of the paths between lights and channels. Some of both is common to all blocks,
+    /// so the scatter counts as at least `least` (1 or more) times that of independent noise.
     pub fn widened(mut self, block_scores: &[DVector<f64>], least: f64) -> Self {
         let scatter = scatter(&(&self.root * &self.vectors), block_scores).diagonal();
         for (i, &scatter) in scatter.iter().enumerate() {
@@ -61,12 +65,13 @@ impl Spectrum {
         self
     }
 
-    /// What is known where the estimate's scores, whose information this is, answer to the bench
-    /// by `response`, P × P, instead: where they answer less, noise has moved the place where
-    /// they vanish the farther. With A the response, S the scores' covariance and T the attenuation,
-    /// 0 along what is fixed, all in units of the prior, the estimate p solves T s(p) = p, and
-    /// p − p_true has the covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ, and at most
-    /// `MAX_VARIANCE` along any direction.
+    /// The posterior where the gradient changes with the parameters by `response`, P × P, rather
+    /// than by the information that this spectrum was made of. A gradient that changes less
+    /// leaves the estimate, where it vanishes, farther off for the same noise.
+    ///
+    /// In units of the prior, with the response A, the gradient's covariance S and its scaling T
+    /// (0 along fixed directions), the estimate p solves T s(p) = p, so that p − p_true has the
+    /// covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ. No direction gets more than `MAX_VARIANCE`.
     pub fn sandwich(&self, response: &DMatrix<f64>) -> Self {
         let n = self.values.len();
         let where_observed = |of: &DVector<f64>| {
@@ -98,8 +103,8 @@ impl Spectrum {
         }
     }
 
-    /// The Gauss–Newton step from `values` by the score g, with the prior. Held directions
-    /// go back to the prior's centre.
+    /// The Gauss–Newton step from `values` by the gradient `score`, prior included. Along fixed
+    /// directions it leads back to the prior mean.
     pub fn step(&self, values: &DVector<f64>, score: &DVector<f64>) -> DVector<f64> {
         let at = self.whitened(values);
         let push = self.vectors.tr_mul(&self.root.tr_mul(score));
@@ -113,7 +118,7 @@ impl Spectrum {
         &self.root * (&self.vectors * step)
     }
 
-    /// Length of a step in posterior deviations, the largest over the directions.
+    /// Length of a step in posterior standard deviations, the largest over the directions.
     pub fn length(&self, step: &DVector<f64>) -> f64 {
         let along = self.whitened(step);
         (0..along.len())
@@ -121,12 +126,12 @@ impl Spectrum {
             .fold(0.0, f64::max)
     }
 
-    /// ½ pᵀ C⁻¹ p, the prior's part of the loss.
+    /// The prior's part of the loss: ½ pᵀ C⁻¹ p with the prior covariance C.
     pub fn prior_loss(&self, values: &DVector<f64>) -> f64 {
         0.5 * self.whitened(values).norm_squared()
     }
 
-    /// R with R Rᵀ the posterior covariance.
+    /// A root R of the posterior covariance, which is R Rᵀ.
     pub fn posterior_root(&self) -> DMatrix<f64> {
         let scale = self.values.map(|v| 1.0 / (1.0 + v).sqrt());
         &self.root * &self.vectors * DMatrix::from_diagonal(&scale)
@@ -139,7 +144,7 @@ impl Spectrum {
     }
 
     /// Names of the directions that are fixed at the prior.
-    pub fn fixed(&self, bench: &Bench) -> Vec<String> {
+    pub fn fixed(&self, bench: &Nuisance) -> Vec<String> {
         let parameters = bench.parameters();
         let n = parameters.len();
         let fixed: Vec<usize> = (0..n)

@@ -16,7 +16,7 @@ use glam::Vec3;
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::parameters::{Bench, Parameter};
+use super::parameters::{Nuisance, Parameter};
 use crate::brdf::Brdf;
 use crate::geometry::Mesh;
 use crate::transport::direct::for_each_seen;
@@ -86,7 +86,7 @@ struct Place {
 impl DerivativeImages {
     /// Derivatives at `values` for the material `brdf`, at the cells that are `wanted`; zero elsewhere.
     pub fn trace(
-        bench: &Bench,
+        bench: &Nuisance,
         values: &DVector<f64>,
         cells: &Cells,
         brdf: &dyn Brdf,
@@ -253,7 +253,12 @@ fn smoothed(rows: &[Vec<Parts>], wanted: &[bool], cells: &Cells, reach: f64) -> 
 }
 
 /// The views of one half, and where each column's value stands in them.
-fn views(bench: &Bench, base: &Scene, values: &DVector<f64>, sign: f64) -> (Vec<View>, Vec<Place>) {
+fn views(
+    bench: &Nuisance,
+    base: &Scene,
+    values: &DVector<f64>,
+    sign: f64,
+) -> (Vec<View>, Vec<Place>) {
     let lights = base.lights.len();
     let mut views = vec![View {
         scene: base.clone(),
@@ -306,7 +311,7 @@ fn views(bench: &Bench, base: &Scene, values: &DVector<f64>, sign: f64) -> (Vec<
 
 /// Half the prior deviation, where that is small enough to be linear (0.2°, a two
 /// hundredth of the sample) and large enough against rounding and the jumps at edges.
-fn step(bench: &Bench, parameter: usize) -> f64 {
+fn step(bench: &Nuisance, parameter: usize) -> f64 {
     let half = 0.5 * bench.prior_deviation(parameter);
     match bench.parameters()[parameter] {
         Parameter::Translation(_) => {

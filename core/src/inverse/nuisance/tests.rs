@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
-use super::parameters::{Axis, Bench, Parameter};
+use super::parameters::{Axis, Nuisance, Parameter};
 use super::spectrum::Spectrum;
 use super::{RefineOptions, RefinedBench, refine_bench};
 use crate::bench_priors::BenchPriors;
@@ -77,7 +77,7 @@ fn priors() -> BenchPriors {
 #[test]
 fn camera_and_lights_move_as_if_the_sample_did() {
     let described = bowl(16, 8, &[[30.0, 50.0], [0.0, 90.0]]);
-    let bench = Bench::new(&described, &priors());
+    let bench = Nuisance::new(&described, &priors());
     let mut values = DVector::zeros(bench.parameters().len());
     let group = |values: &mut DVector<f64>, parameter: Parameter, value: f64| {
         let at = bench.parameters().iter().position(|p| *p == parameter);
@@ -124,7 +124,7 @@ fn shared_errors_correlate_the_prior() {
         common_intensity: 1.0,
         ..priors()
     };
-    let bench = Bench::new(&described, &priors);
+    let bench = Nuisance::new(&described, &priors);
     let root = bench.prior_root();
     let covariance = root * root.transpose();
     let at = |parameter: Parameter| {
@@ -158,7 +158,7 @@ fn a_measured_pose_is_the_prior() {
         pose_covariance: Some(measured),
         ..priors()
     };
-    let bench = Bench::new(&described, &priors);
+    let bench = Nuisance::new(&described, &priors);
     let at = |parameter: Parameter| {
         let found = bench.parameters().iter().position(|p| *p == parameter);
         found.unwrap()
@@ -182,7 +182,7 @@ fn a_measured_pose_is_the_prior() {
 fn derivatives_are_those_of_independent_renders() {
     let size = 12;
     let described = bowl(64, size, &[[20.0, 60.0], [200.0, 75.0]]);
-    let bench = Bench::new(&described, &priors());
+    let bench = Nuisance::new(&described, &priors());
     let values = DVector::zeros(bench.parameters().len());
     let brdf = material();
     let inside = |pixel: usize| {
@@ -276,7 +276,7 @@ fn derivatives_are_those_of_independent_renders() {
 #[test]
 fn a_step_follows_the_images_where_they_tell_and_the_prior_elsewhere() {
     let described = bowl(16, 8, &[[20.0, 60.0]]);
-    let bench = Bench::new(&described, &priors());
+    let bench = Nuisance::new(&described, &priors());
     let n = bench.parameters().len();
     // Sure of the first parameter, silent on all others.
     let mut information = DMatrix::zeros(n, n);
@@ -310,7 +310,7 @@ fn a_step_follows_the_images_where_they_tell_and_the_prior_elsewhere() {
 /// than another draw of the prior.
 #[test]
 fn what_the_scores_answer_decides_what_is_known() {
-    let bench = Bench::new(&bowl(16, 8, &[[20.0, 60.0]]), &priors());
+    let bench = Nuisance::new(&bowl(16, 8, &[[20.0, 60.0]]), &priors());
     let n = bench.parameters().len();
     let sigma = bench.prior_deviation(0);
     let mut information = DMatrix::zeros(n, n);
@@ -338,7 +338,7 @@ fn captured(fine: &Scene, values: &DVector<f64>, brdf: &Mixture) -> Vec<Radiance
         proposal: Proposal::resembling(brdf, 0.2),
         ..RenderOptions::default()
     };
-    let scene = Bench::new(fine, &priors()).scene(values);
+    let scene = Nuisance::new(fine, &priors()).scene(values);
     let mut images = render(&scene, brdf, &options);
     let mut numbers = stream(3, Purpose::Experiment, 0, 0, 0);
     for image in &mut images {

@@ -1,7 +1,7 @@
 //! The bench while nothing is captured: camera and stage held open by a thread of the
 //! console, with a live picture, moves and lamps.
 //!
-//! - [`Bench`]: what pages may do; never waits for a device.
+//! - [`HeldDevices`]: what pages may do; never waits for a device.
 //! - [`state`]: the topic `bench`.
 //! - [`lamp_timer`]: when a lamp that was lit from a page goes out by itself.
 //! - `held`: the devices, from opening to closing; `stage` and `camera`: the loops of the two
@@ -23,7 +23,7 @@ mod stop;
 #[cfg(test)]
 mod tests;
 
-pub use handle::{Bench, Loan, StopBorrower};
+pub use handle::{HeldDevices, Loan, StopBorrower};
 pub use ports::{BenchPorts, Opened};
 pub use routes::routes;
 pub use stage::LampDisobeyed;

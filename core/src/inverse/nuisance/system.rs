@@ -15,7 +15,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{Derivative, DerivativeImages};
-use super::parameters::{Bench, Parameter};
+use super::parameters::{Nuisance, Parameter};
 use super::spectrum::Spectrum;
 use crate::inverse::normal_equations::{
     IN_USE, Marginal, Scores, WEIGHT_PRIOR_DEVIATION, add_cross,
@@ -25,7 +25,7 @@ use crate::inverse::objective::{Objective, ResidualWeights, Value};
 /// How the images change with the P nuisance parameters.
 pub struct Columns<'a> {
     /// The parameters.
-    pub bench: &'a Bench,
+    pub bench: &'a Nuisance,
     /// Derivatives by those that are geometric.
     pub derivatives: &'a DerivativeImages,
 }
@@ -236,7 +236,7 @@ fn with_free_scale(
 /// bench's remaining uncertainty adds to its own.
 pub struct BenchLinearisation {
     /// The bench.
-    pub bench: Bench,
+    pub bench: Nuisance,
     /// Derivatives of the images.
     pub derivatives: DerivativeImages,
     /// What is known about the bench.

@@ -10,7 +10,7 @@ use axum::routing::{get, post};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::handle::Bench;
+use super::handle::HeldDevices;
 use super::stop::Stopping;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
@@ -25,7 +25,7 @@ use crate::units::{Seconds, StageAngles};
 const NUMBER: HeaderName = HeaderName::from_static("x-rig-number");
 
 /// `api/bench/…` and `api/live.jpg`.
-pub fn routes(bench: Bench) -> Router {
+pub fn routes(bench: HeldDevices) -> Router {
     Router::new()
         .route("/api/bench/connect", post(connect))
         .route("/api/bench/disconnect", post(disconnect))
@@ -45,11 +45,11 @@ fn begun(outcome: Result<(), Fault>) -> Accepted {
     }
 }
 
-async fn connect(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
+async fn connect(State(bench): State<HeldDevices>, _: Controlled, _: Asked<Value>) -> Accepted {
     begun(bench.connect())
 }
 
-async fn disconnect(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
+async fn disconnect(State(bench): State<HeldDevices>, _: Controlled, _: Asked<Value>) -> Accepted {
     bench.disconnect();
     begun(Ok(()))
 }
@@ -62,7 +62,7 @@ struct Exposure {
 }
 
 async fn exposure(
-    State(bench): State<Bench>,
+    State(bench): State<HeldDevices>,
     _: Controlled,
     Asked(wanted): Asked<Exposure>,
 ) -> Accepted {
@@ -72,12 +72,12 @@ async fn exposure(
     )))
 }
 
-async fn home(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
+async fn home(State(bench): State<HeldDevices>, _: Controlled, _: Asked<Value>) -> Accepted {
     begun(bench.home())
 }
 
 async fn move_to(
-    State(bench): State<Bench>,
+    State(bench): State<HeldDevices>,
     _: Controlled,
     Asked(target): Asked<StageAngles>,
 ) -> Accepted {
@@ -90,12 +90,16 @@ struct Lamp {
     channel: Option<LampChannel>,
 }
 
-async fn lamp(State(bench): State<Bench>, _: Controlled, Asked(lamp): Asked<Lamp>) -> Accepted {
+async fn lamp(
+    State(bench): State<HeldDevices>,
+    _: Controlled,
+    Asked(lamp): Asked<Lamp>,
+) -> Accepted {
     begun(bench.set_lamp(lamp.channel))
 }
 
 /// By any page, whichever controls. What is being stopped, or that nothing is.
-async fn stop(State(bench): State<Bench>, _: Viewer, _: Asked<Value>) -> Accepted {
+async fn stop(State(bench): State<HeldDevices>, _: Viewer, _: Asked<Value>) -> Accepted {
     match bench.stop() {
         Ok(Stopping(what)) => accepted(json!({"stopping": what})),
         Err(error) => begun(Err(bench.fault(error))),
@@ -115,7 +119,7 @@ fn on() -> u8 {
 }
 
 async fn live(
-    State(bench): State<Bench>,
+    State(bench): State<HeldDevices>,
     wanted: Result<Query<Wanted>, QueryRejection>,
 ) -> Result<Response, Refusal> {
     let Query(wanted) = wanted.map_err(|error| Refusal::bad(error.body_text()))?;

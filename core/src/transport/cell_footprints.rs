@@ -98,7 +98,7 @@ impl Cell {
 ///
 /// ```
 /// use rig_core::transport::Cells;
-/// use rig_core::transport::cells::Cell;
+/// use rig_core::transport::cell_footprints::Cell;
 ///
 /// // One cell of 2 × 2 pixels, and one of a single pixel.
 /// let cells = Cells::new([16, 16], vec![Cell::square([4, 4], 2), Cell::square([9, 3], 1)]);

@@ -111,7 +111,7 @@ pub const MIN_INFORMATION: f64 = 1.0 / 3.0;
 
 /// A described bench and what may differ from the description. Values of the
 /// parameters are differences: all zero is the description.
-pub struct Bench {
+pub struct Nuisance {
     described: Scene,
     parameters: Vec<Parameter>,
     /// Prior covariance, and its lower Cholesky factor.
@@ -119,7 +119,7 @@ pub struct Bench {
     root: DMatrix<f64>,
 }
 
-impl Bench {
+impl Nuisance {
     /// The parameters whose prior deviation is above 0.
     pub fn new(described: &Scene, priors: &BenchPriors) -> Self {
         let lights = 0..described.lights.len();

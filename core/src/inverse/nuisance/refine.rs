@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::parameters::{Bench, Parameter};
+use super::parameters::{Nuisance, Parameter};
 use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Columns};
 use crate::bench_priors::BenchPriors;
@@ -144,7 +144,7 @@ pub fn refine_bench(
     let part = dictionary.first_part().map(Arc::new);
     let dictionary = part.as_ref().unwrap_or(dictionary);
     let clock = std::time::Instant::now();
-    let bench = Bench::new(scene, priors);
+    let bench = Nuisance::new(scene, priors);
     let mut rounds = Rounds {
         bench: &bench,
         captured,
@@ -263,7 +263,7 @@ struct Best {
 
 /// What the rounds share.
 struct Rounds<'a> {
-    bench: &'a Bench,
+    bench: &'a Nuisance,
     captured: &'a Captured,
     dictionary: &'a Arc<Dictionary>,
     options: &'a FitOptions,

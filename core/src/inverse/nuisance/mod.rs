@@ -19,6 +19,6 @@ pub mod system;
 #[cfg(test)]
 mod tests;
 
-pub use parameters::{Axis, Bench, Parameter, with_sample_at};
+pub use parameters::{Axis, Nuisance, Parameter, with_sample_at};
 pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedBench, refine_bench};
 pub use system::{BenchCoupling, BenchLinearisation};

@@ -16,7 +16,7 @@ pub enum Opened {
     Camera(Box<dyn Camera>),
 }
 
-/// What a [`super::Bench`] needs from whoever starts it.
+/// What a [`super::HeldDevices`] needs from whoever starts it.
 pub struct BenchPorts {
     /// Opens the devices, each time that a page connects.
     pub open: Box<dyn Fn() -> Result<Opened, Fault> + Send + Sync>,

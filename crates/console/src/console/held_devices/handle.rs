@@ -30,7 +30,7 @@ const URGENT: Duration = Duration::from_secs(2);
 /// The bench of a console. Clones are the same; no call but [`Self::end`] and [`Self::lend`]
 /// waits for a device. What comes of a command is published as topic `bench`.
 #[derive(Clone)]
-pub struct Bench {
+pub struct HeldDevices {
     shared: Arc<Shared>,
     commands: Arc<Mutex<Sender<Command>>>,
     advisor: Advisor,
@@ -41,15 +41,15 @@ pub struct Bench {
 /// Ends what the devices are lent to; `false` where nothing is to be ended.
 pub type StopBorrower = Box<dyn Fn() -> bool + Send + Sync>;
 
-impl std::fmt::Debug for Bench {
+impl std::fmt::Debug for HeldDevices {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.debug_struct("Bench")
+        out.debug_struct("HeldDevices")
             .field("state", &self.shared.state())
             .finish_non_exhaustive()
     }
 }
 
-impl Bench {
+impl HeldDevices {
     /// A bench that is not connected.
     ///
     /// # Errors
