@@ -52,7 +52,7 @@ impl Posterior {
         let energy = EnergyBound::new(self.material.mixture.dictionary());
         let (material, albedo) = energy.bound(&self.material);
         self.material = material;
-        let (seen, fields) = (seen(), discrepancy_fit::standard_modes());
+        let (seen, fields) = (seen(), discrepancy::standard_modes());
         self.posterior_samples
             .par_iter_mut()
             .enumerate()

@@ -4,15 +4,14 @@
 //! Part of `rig`, whose library re-exports these modules.
 
 use rig_core::{
-    bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
-    plausibility, progress, radiance_image, random, scores, shown, statistics, transport, units,
-    whole_file,
+    bench_priors, brdf, cells, file_system, geometry, inverse, outside_file, plausibility,
+    progress, radiance_image, random, scores, shown, statistics, transport, units, whole_file,
 };
 
 use rig_device::{device, interrupt, radiometry};
 #[cfg(feature = "figures")]
 use rig_setup::plot;
-use rig_setup::{calibration, checksum, config, shell_words, simulation};
+use rig_setup::{calibration, checksum, config, simulation};
 
 pub mod beneath;
 pub mod calibrating;

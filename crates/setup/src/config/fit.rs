@@ -268,7 +268,7 @@ fn named<T, const N: usize>(choices: [Choice<T>; N]) -> [(&'static str, T); N] {
 }
 
 /// Replaces `value` where something else was chosen.
-pub(crate) fn set<T: Clone>(value: &mut T, chosen: &Option<T>) {
+pub fn set<T: Clone>(value: &mut T, chosen: &Option<T>) {
     if let Some(chosen) = chosen {
         value.clone_from(chosen);
     }
