@@ -2,15 +2,10 @@
 
 use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
-use std::sync::{Arc, mpsc};
-use std::time::{Duration, Instant};
-
-use rustix::process::Signal as Sent;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTSTP};
+use std::sync::mpsc::{self, Sender};
+use std::time::Duration;
 
 use super::console_address::show_address;
 use super::context::Context;
@@ -20,18 +15,9 @@ use super::output::write_path;
 use super::rig_choice::RigArg;
 use super::{bench_ports, definition, interrupt};
 use crate::config::{Origin, ResolvedRig, RigConfig};
-use crate::console::catalogue::{self, SessionPages};
-use crate::console::control::Control;
-use crate::console::facts::{Mode, facts};
-use crate::console::frames;
-use crate::console::held_devices::{self, HeldDevices};
-use crate::console::hub::Hub;
-use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
-use crate::console::picture::outline_routes;
-use crate::console::queue;
-use crate::console::rigs::{self, Rigs};
-use crate::console::server::{ListenOptions, Parts, Running, Server, is_host_name};
-use crate::fault::Fault;
+use crate::console::jobs::{Kind, Work};
+use crate::console::server::{ListenOptions, Server, is_host_name};
+use crate::console::whole::{Console, Notice, Subject, Surroundings, Then, Woken};
 use crate::interrupt::Signal;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
@@ -104,19 +90,8 @@ fn parse_host_name(text: &str) -> Result<String, String> {
     }
 }
 
-/// The devices are closed in this time, or the guardian sees to the lamp.
-const CLOSING: Duration = Duration::from_secs(15);
-/// Before it is suspended the console waits no longer for that.
-const SUSPENDING: Duration = Duration::from_secs(4);
-/// How often a job that was asked to end is sent SIGCONT: it may have paused itself at that moment.
-const CONTINUE: Duration = Duration::from_millis(250);
-/// A job has so long to end after a second signal; then it is killed, and the guardian turns
-/// the lamp off.
-const KILL_AFTER: Duration = Duration::from_millis(2500);
 /// The answers of a console that another one follows have so long.
 const LAST_ANSWERS: Duration = Duration::from_millis(200);
-/// A job that was killed is not waited for any longer.
-const GIVE_UP_AFTER: Duration = Duration::from_millis(4500);
 
 /// `rig console`.
 pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
@@ -138,7 +113,7 @@ pub fn run_with_capture(
     listen: &ListenArgs,
     context: &Context,
 ) -> Result<(), CliError> {
-    let subject = Subject::of_capture(&arguments, context)?;
+    let subject = subject_of_capture(&arguments, context)?;
     let events = OsString::from("--events");
     let work = Work {
         hidden: vec![events.clone()],
@@ -151,59 +126,49 @@ pub fn run_with_capture(
     serve(subject, listen, Some(work), context)
 }
 
-/// What a console is about.
-struct Subject {
-    rig: ResolvedRig,
-    /// As `--rig` takes it.
-    named: String,
-    folder: PathBuf,
+/// What a console around a capture with these arguments is about.
+fn subject_of_capture(arguments: &[OsString], context: &Context) -> Result<Subject, CliError> {
+    let whole = std::iter::once(OsString::from("rig")).chain(arguments.iter().cloned());
+    let matches = definition().try_get_matches_from(whole)?;
+    let (_, matches) = matches
+        .subcommand()
+        .ok_or_else(|| CliError::new("no capture to show"))?;
+    if let Ok(Some(root)) = matches.try_get_one::<PathBuf>("resume") {
+        return subject_of_session(root);
+    }
+    let rig = matches.try_get_one::<String>("rig").ok().flatten();
+    let rig = RigArg { rig: rig.cloned() };
+    let resolved = rig.resolve(context)?;
+    let folder = matches
+        .try_get_one::<PathBuf>("out")
+        .ok()
+        .flatten()
+        .cloned();
+    Ok(Subject {
+        named: name_of(&rig, &resolved),
+        rig: resolved,
+        folder: folder.unwrap_or_else(|| SESSIONS_FOLDER.into()),
+    })
 }
 
-impl Subject {
-    /// That of a capture with these arguments.
-    fn of_capture(arguments: &[OsString], context: &Context) -> Result<Self, CliError> {
-        let whole = std::iter::once(OsString::from("rig")).chain(arguments.iter().cloned());
-        let matches = definition().try_get_matches_from(whole)?;
-        let (_, matches) = matches
-            .subcommand()
-            .ok_or_else(|| CliError::new("no capture to show"))?;
-        if let Ok(Some(root)) = matches.try_get_one::<PathBuf>("resume") {
-            return Self::of_session(root);
-        }
-        let rig = matches.try_get_one::<String>("rig").ok().flatten();
-        let rig = RigArg { rig: rig.cloned() };
-        let resolved = rig.resolve(context)?;
-        let folder = matches
-            .try_get_one::<PathBuf>("out")
-            .ok()
-            .flatten()
-            .cloned();
-        Ok(Self {
-            named: name_of(&rig, &resolved),
-            rig: resolved,
-            folder: folder.unwrap_or_else(|| SESSIONS_FOLDER.into()),
-        })
-    }
-
-    /// That of a session, which has its own rig.
-    fn of_session(root: &Path) -> Result<Self, CliError> {
-        let session = Session::open(root)?;
-        let record = session.record();
-        let file = record.rig.clone();
-        let bare = file.strip_prefix("built-in ");
-        let named = bare.and_then(|name| name.strip_suffix(".toml"));
-        let parent = root.parent().filter(|parent| *parent != Path::new(""));
-        Ok(Self {
-            named: named.unwrap_or(&file).to_owned(),
-            folder: parent.unwrap_or(Path::new(".")).to_owned(),
-            rig: ResolvedRig {
-                config: RigConfig::parse(&file, Path::new(""), &record.config)?,
-                origin: Origin::Argument,
-                folder: Path::new(&file).parent().map(Path::to_owned),
-                file,
-            },
-        })
-    }
+/// What a console of a session, which has its own rig, is about.
+fn subject_of_session(root: &Path) -> Result<Subject, CliError> {
+    let session = Session::open(root)?;
+    let record = session.record();
+    let file = record.rig.clone();
+    let bare = file.strip_prefix("built-in ");
+    let named = bare.and_then(|name| name.strip_suffix(".toml"));
+    let parent = root.parent().filter(|parent| *parent != Path::new(""));
+    Ok(Subject {
+        named: named.unwrap_or(&file).to_owned(),
+        folder: parent.unwrap_or(Path::new(".")).to_owned(),
+        rig: ResolvedRig {
+            config: RigConfig::parse(&file, Path::new(""), &record.config)?,
+            origin: Origin::Argument,
+            folder: Path::new(&file).parent().map(Path::to_owned),
+            file,
+        },
+    })
 }
 
 /// The rig as `--rig` takes it, so that each command line names it.
@@ -215,22 +180,6 @@ fn name_of(asked: &RigArg, resolved: &ResolvedRig) -> String {
         (None, Origin::WorkingFolder) => resolved.file.clone(),
         (None, _) => "simulated".to_owned(),
     }
-}
-
-/// What wakes the console's main thread.
-enum Woken {
-    Signal(i32),
-    JobEnded,
-    /// A page has chosen another bench, or the same one as its file is now.
-    Chosen(Box<ResolvedRig>, String),
-}
-
-/// What comes after a console.
-enum Then {
-    /// The end, with the last signal.
-    End(Option<Signal>),
-    /// A console of this bench at the same address.
-    Bench(Box<ResolvedRig>, String),
 }
 
 /// Serves one console after another, as pages choose their benches, until a signal ends the last;
@@ -245,28 +194,54 @@ fn serve(
     // Signals, the ends of jobs and the choices of pages wake this thread.
     let (wake, woken) = mpsc::channel();
     listen_for_signals(wake.clone())?;
+    let around = Surroundings {
+        ports: &bench_ports::of_rig,
+        advisor: bench_ports::advisor(),
+        wake,
+        woken,
+        tell: &|notice| tell(notice, context),
+        suspend: interrupt::suspend,
+    };
     let is_capture = work.is_some();
     let (mut captured, mut is_first) = (None, true);
     loop {
-        let console = Console::start(&subject, server.again()?, &wake)?;
+        let console = Console::start(&subject, server.again()?, &around)?;
         if is_first {
             show_address(&server.address(), context)?;
         }
-        let then = console.run(work.take(), is_first, &mut captured, &wake, &woken, context);
+        let then = console.run(work.take(), is_first, &mut captured, &around);
         is_first = false;
         if let Ok(Then::Bench(rig, named)) = then {
-            console.close(|| false, context);
+            console.close(|| false, &around);
             // The page that chose gets its answer.
             std::thread::sleep(LAST_ANSWERS);
             (subject.rig, subject.named) = (*rig, named);
             continue;
         }
-        console.close(|| is_urgent(&woken), context);
+        console.close(|| around.is_urgent(), &around);
         return match then? {
             _ if is_capture && captured.is_some() => as_it_ended(captured.flatten()),
             Then::End(Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
             _ => Ok(()),
         };
+    }
+}
+
+/// What a console says, in words.
+fn tell(notice: Notice<'_>, context: &Context) {
+    match notice {
+        Notice::Ready => context.note("Ctrl-C ends the console"),
+        // Whoever reads stdout may be gone; pages may not be.
+        Notice::Captured(session) => drop(write_path(session)),
+        Notice::Stays => context.note("the console stays; Ctrl-C ends it"),
+        Notice::Stopping(job) => context.note(format!(
+            "{} is running: the console ends when it has stopped",
+            job.what()
+        )),
+        Notice::Closed(error) => context.warn(error),
+        Notice::NotClosed => {
+            context.warn("the bench's devices are not closed yet; its guardian turns a lamp off");
+        }
     }
 }
 
@@ -285,220 +260,6 @@ fn listen_for_signals(wake: Sender<Woken>) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Whether another signal to end has come.
-fn is_urgent(woken: &Receiver<Woken>) -> bool {
-    let mut signals = woken.try_iter();
-    signals.any(|woken| matches!(woken, Woken::Signal(number) if number != SIGTSTP))
-}
-
-/// A console that answers.
-struct Console {
-    jobs: Jobs,
-    bench: HeldDevices,
-    _server: Running,
-}
-
-impl Console {
-    /// Answers at this server's address; pages choose another bench by `wake`.
-    fn start(subject: &Subject, server: Server, wake: &Sender<Woken>) -> Result<Self, CliError> {
-        let Subject { rig, named, folder } = subject;
-
-        // The console's parts.
-        let hub = Hub::default();
-        let control = Control::new(hub.clone());
-        let program = Program {
-            path: std::env::current_exe()?,
-            rig: named.clone(),
-            folder: folder.clone(),
-        };
-        let jobs = Jobs::new(program, hub.clone());
-        let bench = HeldDevices::new(hub.clone(), bench_ports::of_rig(rig, &control))?;
-        let pages = Arc::new(SessionPages::new(folder, bench_ports::advisor()));
-
-        // A capture gets the devices that the bench holds.
-        let lender = bench.clone();
-        jobs.lend_devices(Arc::new(move || {
-            let devices = |fault: Fault| JobError::Devices {
-                fact: fault.error,
-                hint: fault.hint,
-            };
-            let loan = lender.lend("a capture", CLOSING).map_err(devices)?;
-            Ok(Box::new(loan) as jobs::Loan)
-        }));
-        let borrowers = jobs.clone();
-        bench.stop_borrower_by(Box::new(move || {
-            borrowers.is_capturing() && borrowers.stop().is_some()
-        }));
-
-        let wake = wake.clone();
-        let choose = Arc::new(move |named, rig| {
-            // The main thread may be ending.
-            let _ = wake.send(Woken::Chosen(Box::new(rig), named));
-        });
-        let rigs = Rigs::new(Path::new("."), named, rig, jobs.clone(), choose);
-
-        // The server.
-        let routes = jobs::routes(jobs.clone())
-            .merge(held_devices::routes(bench.clone()))
-            .merge(frames::routes(&jobs))
-            .merge(outline_routes(
-                Some(rig.config.clone()),
-                bench_ports::advisor(),
-            ))
-            .merge(catalogue::routes(pages))
-            .merge(catalogue::action_routes(jobs.clone()))
-            .merge(queue::routes(jobs.clone()))
-            .merge(rigs::routes(rigs));
-        let running = server.start(Parts {
-            hub,
-            control,
-            facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
-            routes,
-        })?;
-        Ok(Self {
-            jobs,
-            bench,
-            _server: running,
-        })
-    }
-
-    /// Starts `work`, if any, and stays until a signal ends the console or a page has chosen
-    /// another bench.
-    fn run(
-        &self,
-        work: Option<Work>,
-        is_first: bool,
-        captured: &mut Option<Option<ExitStatus>>,
-        wake: &Sender<Woken>,
-        woken: &Receiver<Woken>,
-        context: &Context,
-    ) -> Result<Then, CliError> {
-        // Only the first console is around a capture.
-        let is_capture = work.is_some();
-        if let Some(work) = work {
-            self.jobs.start(work)?;
-            self.wait_for_job(wake)?;
-        } else if is_first {
-            context.note("Ctrl-C ends the console");
-        }
-        self.until_ended(is_capture, captured, wake, woken, context)
-    }
-
-    /// Returns when a signal has ended the console and the job has ended.
-    fn until_ended(
-        &self,
-        is_capture: bool,
-        captured: &mut Option<Option<ExitStatus>>,
-        wake: &Sender<Woken>,
-        woken: &Receiver<Woken>,
-        context: &Context,
-    ) -> Result<Then, CliError> {
-        let had_terminal = terminal().is_some();
-        let mut ending = None::<Signal>;
-        // A second signal.
-        let mut urgent_since = None::<Instant>;
-        loop {
-            match woken.recv_timeout(CONTINUE) {
-                Err(RecvTimeoutError::Disconnected) => break,
-                Err(RecvTimeoutError::Timeout) if ending.is_some() => {
-                    self.jobs.send(&[Sent::CONT]);
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Ok(Woken::JobEnded) => {
-                    if is_capture && captured.is_none() {
-                        *captured = Some(self.captured());
-                        if ending.is_none() {
-                            context.note("the console stays; Ctrl-C ends it");
-                        }
-                    }
-                    if ending.is_some() && self.jobs.running().is_none() {
-                        break;
-                    }
-                }
-                // A job may have begun since the page was answered: the bench is its own.
-                Ok(Woken::Chosen(..)) if ending.is_some() || self.jobs.running().is_some() => {}
-                Ok(Woken::Chosen(rig, named)) => return Ok(Then::Bench(rig, named)),
-                Ok(Woken::Signal(SIGTSTP)) => {
-                    // The lamp must not stay on while nobody watches over it.
-                    drop(
-                        self.bench
-                            .lend("nobody: the console is suspended", SUSPENDING),
-                    );
-                    interrupt::suspend();
-                }
-                Ok(Woken::Signal(number)) => {
-                    let signal = Signal::from_number(number).unwrap_or(Signal::Terminate);
-                    self.jobs.close();
-                    if ending.replace(signal).is_some() {
-                        urgent_since.get_or_insert_with(Instant::now);
-                        let _ = self.jobs.stop();
-                        continue;
-                    }
-                    let Some(kind) = self.jobs.running() else {
-                        // Its end may not have woken this thread yet.
-                        if is_capture && captured.is_none() {
-                            *captured = Some(self.captured());
-                        }
-                        break;
-                    };
-                    context.note(format!(
-                        "{} is running: the console ends when it has stopped",
-                        kind.what()
-                    ));
-                    self.wait_for_job(wake)?;
-                    let knows = is_capture && captured.is_none();
-                    let signals = match knows && reaches_the_capture(number, had_terminal) {
-                        true => &[][..],
-                        false => &[sent(signal)],
-                    };
-                    self.jobs.pass_on(signals);
-                }
-            }
-            match urgent_since.map(|since| since.elapsed()) {
-                Some(waited) if waited >= GIVE_UP_AFTER => break,
-                Some(waited) if waited >= KILL_AFTER => self.jobs.send(&[Sent::KILL]),
-                _ => {}
-            }
-        }
-        Ok(Then::End(ending))
-    }
-
-    /// How the capture ended; its session goes to stdout.
-    fn captured(&self) -> Option<ExitStatus> {
-        let status = self.jobs.wait();
-        if let Some(session) = self.jobs.result() {
-            // Whoever reads stdout may be gone; pages may not be.
-            drop(write_path(Path::new(&session)));
-        }
-        status
-    }
-
-    /// Lamp off, devices closed; another signal hurries it.
-    fn close(&self, is_urgent: impl Fn() -> bool, context: &Context) {
-        let before = self.bench.state().error;
-        let is_closed = self.bench.end(CLOSING, is_urgent);
-        let error = self.bench.state().error;
-        if let Some(fault) = error.filter(|error| Some(error) != before.as_ref()) {
-            context.warn(fault.error);
-        } else if !is_closed {
-            context.warn("the bench's devices are not closed yet; its guardian turns a lamp off");
-        }
-    }
-
-    /// Wakes the main thread when no job runs.
-    fn wait_for_job(&self, wake: &mpsc::Sender<Woken>) -> std::io::Result<()> {
-        let (jobs, wake) = (self.jobs.clone(), wake.clone());
-        std::thread::Builder::new()
-            .name("job".into())
-            .spawn(move || {
-                jobs.wait();
-                // The main thread may have ended meanwhile.
-                let _ = wake.send(Woken::JobEnded);
-            })?;
-        Ok(())
-    }
-}
-
 /// Listens; says so if others can reach it.
 pub(super) fn bind(options: &ListenOptions, context: &Context) -> Result<Server, CliError> {
     let server = Server::bind(options).hint(
@@ -511,39 +272,6 @@ pub(super) fn bind(options: &ListenOptions, context: &Context) -> Result<Server,
         );
     }
     Ok(server)
-}
-
-/// The controlling terminal, if there is one.
-fn terminal() -> Option<OwnedFd> {
-    use rustix::fs::{Mode, OFlags};
-    let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::CLOEXEC | OFlags::NONBLOCK;
-    rustix::fs::open("/dev/tty", flags, Mode::empty()).ok()
-}
-
-/// Whether a signal has come from the terminal, which sends it to the capture there as well:
-/// passed on, it would count twice.
-fn reaches_the_capture(number: i32, had_terminal: bool) -> bool {
-    let terminal = terminal();
-    match number {
-        SIGINT => {
-            let group = terminal.and_then(|tty| rustix::termios::tcgetpgrp(tty).ok());
-            group == Some(rustix::process::getpgrp())
-        }
-        // Of a terminal that is gone; the kernel tells the leader of a session alone.
-        SIGHUP => {
-            let is_leader = rustix::process::getsid(None).ok() == Some(rustix::process::getpid());
-            had_terminal && terminal.is_none() && !is_leader
-        }
-        _ => false,
-    }
-}
-
-fn sent(signal: Signal) -> Sent {
-    match signal {
-        Signal::Interrupt => Sent::INT,
-        Signal::Terminate => Sent::TERM,
-        Signal::HangUp => Sent::HUP,
-    }
 }
 
 /// The capture has stated how it ended; the console ends alike.

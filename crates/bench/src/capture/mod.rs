@@ -41,6 +41,7 @@ mod progress;
 pub mod reach;
 pub mod records;
 pub mod region_of_interest;
+pub mod remote_operator;
 pub mod return_check;
 pub mod run;
 mod spent;

@@ -2,7 +2,7 @@
 //! page shows, and for the buttons on it.
 //!
 //! - [`hub`]: what is published to every page, newest state only.
-//! - [`mod@bench`]: camera and stage held open while nothing is captured.
+//! - [`held_devices`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder, with their pictures and files.
 //! - [`frames`]: the last captured frame.
@@ -12,6 +12,7 @@
 //! - [`queue`]: many samples one after the other.
 //! - [`rigs`]: the rig files of the folder, edited and chosen.
 //! - [`control`]: which page controls the bench.
+//! - [`whole`]: all of these put together, from start to end.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
@@ -31,3 +32,4 @@ pub mod refusal;
 pub mod request;
 pub mod rigs;
 pub mod server;
+pub mod whole;

@@ -25,6 +25,21 @@ pub enum Request {
     Lamp(LampState),
 }
 
+/// As a person is told.
+impl std::fmt::Display for Request {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Place { light, angles } => {
+                write!(f, "place the light at direction {}: {angles}", light + 1)
+            }
+            Self::Lamp(LampState::Off) => f.write_str("turn the lamp off"),
+            Self::Lamp(LampState::On(LampChannel(channel))) => {
+                write!(f, "turn on channel {channel} of the lamp, and no other")
+            }
+        }
+    }
+}
+
 /// Asks the person at the bench.
 pub trait Operator: Send + Sync {
     /// Returns once the person has done it; false if they say that they have
