@@ -19,7 +19,7 @@ use super::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use super::picture::outline_routes;
 use super::queue;
 use super::rigs::{self, Rigs};
-use super::server::{Parts, Running, Server};
+use super::server::{Parts, Running, Server, ServerError};
 use crate::config::ResolvedRig;
 use crate::fault::{Advisor, Fault};
 use crate::interrupt::Signal;
@@ -106,12 +106,15 @@ impl Surroundings<'_> {
     }
 }
 
-/// Why a console could not go on.
+/// Why a console could not begin or go on.
 #[derive(Debug, thiserror::Error)]
 pub enum ConsoleError {
     /// The work that it should begin with.
     #[error("{0}")]
     Work(#[from] JobError),
+    /// Its server does not start.
+    #[error("{0}")]
+    Server(#[from] ServerError),
     /// The system gives no thread.
     #[error("{0}")]
     Io(#[from] std::io::Error),
@@ -133,7 +136,7 @@ impl Console {
         subject: &Subject,
         server: Server,
         around: &Surroundings<'_>,
-    ) -> std::io::Result<Self> {
+    ) -> Result<Self, ConsoleError> {
         let Subject { rig, named, folder } = subject;
 
         // The console's parts.
