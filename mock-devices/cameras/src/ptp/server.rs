@@ -100,7 +100,7 @@ fn listen(listener: &TcpListener, shared: &Arc<Shared>) {
             return;
         }
         let Ok(stream) = stream else { continue };
-        if shared.faults.is_gone() {
+        if shared.faults.now().is_gone {
             continue;
         }
         let shared = Arc::clone(shared);
@@ -165,7 +165,7 @@ fn serve_commands(stream: &mut TcpStream, guid: [u8; 16], shared: &Shared) -> st
         let mut fields = packet.fields();
         let (data_phase, code, transaction) = (fields.u32()?, fields.u16()?, fields.u32()?);
         let parameters = fields.parameters()?;
-        if shared.faults.is_gone() {
+        if shared.faults.now().is_gone {
             return Ok(());
         }
         let data = match data_phase {
@@ -191,8 +191,9 @@ fn serve_commands(stream: &mut TcpStream, guid: [u8; 16], shared: &Shared) -> st
 /// Takes the frame and reports it on the event connection.
 fn expose(transaction: u32, shared: &Shared) -> std::io::Result<()> {
     let exposed = lock(&shared.body).expose();
-    std::thread::sleep(shared.faults.now().slow);
-    if shared.faults.is_gone() {
+    let slow = shared.faults.now().slow;
+    std::thread::sleep(slow);
+    if shared.faults.now().is_gone {
         return Err(ErrorKind::ConnectionAborted.into());
     }
     let events = exposed.unwrap_or_else(|_| vec![(GENERAL_ERROR, Vec::new())]);
