@@ -2,7 +2,6 @@
 //! production drivers are tested. Only tests link this crate: the program's own simulated bench
 //! is in [`mock_devices`].
 
-pub mod failing;
 pub mod gige;
 pub mod ptp;
 pub mod usb;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use mock_devices::random::stream;
 
-use crate::failing::Failing;
+use mock_devices::failing::Failing;
 
 /// What goes wrong.
 #[derive(Debug, Default)]

@@ -9,7 +9,7 @@ use super::exposing::Settings;
 use super::gvsp::Image;
 use super::memory::{self, Memory};
 use super::{Shared, State, TICK, pixels};
-use crate::failing::due;
+use mock_devices::failing::due;
 
 /// So many frames can be sent once more.
 const KEPT: usize = 4;

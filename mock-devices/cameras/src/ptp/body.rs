@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::dataset::{Dataset, Property, Width};
 use super::dng::RawFile;
 use super::faults::BodyFaults;
-use crate::failing::due;
 use mock_devices::camera::SimulatedCamera;
+use mock_devices::failing::due;
 use mock_devices::sensor::FrameKey;
 
 /// Code of the exposure time, in units of 0.1 ms.

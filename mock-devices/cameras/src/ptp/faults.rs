@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::failing::Failing;
+use mock_devices::failing::Failing;
 
 /// What goes wrong; numbers count what it happens to.
 #[derive(Debug, Default)]

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use super::descriptors::Identity;
 use super::{Descriptors, Setup, Stall, UsbDevice};
-use crate::failing::{Failing, due};
 use mock_devices::RadianceSource;
 use mock_devices::bench::Bench;
+use mock_devices::failing::{Failing, due};
 use mock_devices::sensor::{FrameKey, NoiseKey, SensorModel};
 
 /// Most bytes of one payload, its header included.

@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use mock_devices::clock::lock;
+use crate::clock::lock;
 
 /// Handle on what goes wrong at a device; clones act on the same device.
 #[derive(Debug, Default)]
