@@ -62,12 +62,8 @@ impl SensorPage<'_> {
 }
 
 /// Value and uncertainty to two digits of the latter, with the unit.
-fn with_std(m: Measured, unit: &str) -> String {
-    let decimals = match m.std > 0.0 && m.std.is_finite() {
-        true => (1.0 - m.std.log10().floor()).clamp(0.0, 9.0) as usize,
-        false => 3,
-    };
-    let text = format!("{:.decimals$} ± {:.decimals$} {unit}", m.value, m.std);
+fn with_std(measured: Measured, unit: &str) -> String {
+    let text = format!("{measured} {unit}");
     text.trim_end().replace('-', "−")
 }
 
