@@ -1,11 +1,11 @@
 //! A free-running camera that looks at the bench.
 
 use crate::bench::Bench;
-use crate::clock::lock;
+use crate::failing::{Failing, due};
 use crate::sensor::{FrameKey, NoiseKey, SensorModel};
 use crate::{Illumination, RadianceSource, random};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// What the camera around the sensor can do.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,77 +98,29 @@ pub enum MockCameraError {
     SizeMismatch { radiance: usize, sensor: usize },
 }
 
-/// Something that goes wrong at a camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CameraFault {
-    /// This many frames are lost; their numbers are missing.
-    Drop(u32),
-    /// This many frames come with a band of random counts, marked as damaged.
-    Corrupt(u32),
-    /// This many frames end early: a quarter of their counts is missing.
-    Truncate(u32),
-    /// This many frames have half the height.
-    Resize(u32),
-    /// This many grabs give the frame before, which nobody had fetched.
-    Late(u32),
-    /// This many grabs end without a frame.
-    Stall(u32),
-    /// This many changes of settings are confirmed but not applied.
-    IgnoreSettings(u32),
-    /// It is unplugged until [`CameraFaults::clear`].
-    Disconnect,
+/// What goes wrong at a camera; numbers count what it happens to.
+#[derive(Debug, Default)]
+pub struct Failures {
+    /// Frames are lost; their numbers are missing.
+    pub lost: u32,
+    /// Frames come with a band of random counts, marked as damaged.
+    pub corrupt: u32,
+    /// Frames end early: a quarter of their counts is missing.
+    pub truncated: u32,
+    /// Frames have half the height.
+    pub resized: u32,
+    /// Grabs give the frame before, which nobody had fetched.
+    pub late: u32,
+    /// Grabs end without a frame.
+    pub stalled: u32,
+    /// Changes of settings are confirmed but not applied.
+    pub ignored_settings: u32,
+    /// It is unplugged.
+    pub is_disconnected: bool,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Pending {
-    drop: u32,
-    corrupt: u32,
-    truncate: u32,
-    resize: u32,
-    late: u32,
-    stall: u32,
-    ignore_settings: u32,
-    disconnected: bool,
-}
-
-/// Handle by which a test makes a camera fail; clones act on the same camera.
-#[derive(Clone, Debug, Default)]
-pub struct CameraFaults(Arc<Mutex<Pending>>);
-
-impl CameraFaults {
-    /// From now on.
-    pub fn inject(&self, fault: CameraFault) {
-        let mut pending = lock(&self.0);
-        match fault {
-            CameraFault::Drop(n) => pending.drop = n,
-            CameraFault::Corrupt(n) => pending.corrupt = n,
-            CameraFault::Truncate(n) => pending.truncate = n,
-            CameraFault::Resize(n) => pending.resize = n,
-            CameraFault::Late(n) => pending.late = n,
-            CameraFault::Stall(n) => pending.stall = n,
-            CameraFault::IgnoreSettings(n) => pending.ignore_settings = n,
-            CameraFault::Disconnect => pending.disconnected = true,
-        }
-    }
-
-    /// All is well again.
-    pub fn clear(&self) {
-        *lock(&self.0) = Pending::default();
-    }
-
-    /// Whether it is unplugged now.
-    pub fn is_disconnected(&self) -> bool {
-        lock(&self.0).disconnected
-    }
-
-    fn take(&self, which: fn(&mut Pending) -> &mut u32) -> bool {
-        let mut pending = lock(&self.0);
-        let left = which(&mut pending);
-        let due = *left > 0;
-        *left = left.saturating_sub(1);
-        due
-    }
-}
+/// Handle by which a test makes a camera fail.
+pub type CameraFaults = Failing<Failures>;
 
 /// A grab without a frame gives up after this long on the bench's clock, seconds.
 const STALL_TIMEOUT_S: f64 = 5.0;
@@ -267,7 +219,7 @@ impl SimulatedCamera {
             gain: quantise(gain, self.config.gain_step, self.config.gain_range),
         };
         self.run_until(self.bench.clock().now_s());
-        if !self.faults.take(|p| &mut p.ignore_settings) {
+        if !due(&mut self.faults.now().ignored_settings) {
             let from = self.next_sequence + u64::from(self.config.settings_latency_frames);
             self.changes.push_back((from, confirmed));
         }
@@ -303,7 +255,7 @@ impl SimulatedCamera {
         // Which frame.
         self.check()?;
         let clock = self.bench.clock().clone();
-        if self.faults.take(|p| &mut p.stall) {
+        if due(&mut self.faults.now().stalled) {
             clock.wait_until(clock.now_s() + STALL_TIMEOUT_S);
             self.check()?;
             return Err(MockCameraError::NoFrame {
@@ -312,11 +264,11 @@ impl SimulatedCamera {
         }
         self.run_until(since_s.min(clock.now_s()));
         let first = self.next_sequence;
-        while self.faults.take(|p| &mut p.drop) {
+        while due(&mut self.faults.now().lost) {
             self.next_frame();
         }
         let (sequence, start_s, settings) = match &self.last {
-            Some(last) if self.faults.take(|p| &mut p.late) => *last,
+            Some(last) if due(&mut self.faults.now().late) => *last,
             _ => self.next_frame(),
         };
         self.last = Some((sequence, start_s, settings));
@@ -353,14 +305,14 @@ impl SimulatedCamera {
         let mut counts = self
             .sensor
             .expose(&radiance, settings.exposure_s, settings.gain, noise);
-        let damaged = self.faults.take(|p| &mut p.corrupt);
+        let damaged = due(&mut self.faults.now().corrupt);
         if damaged {
             self.corrupt(&mut counts, sequence);
         }
-        if self.faults.take(|p| &mut p.truncate) {
+        if due(&mut self.faults.now().truncated) {
             counts.truncate(pixels * 3 / 4);
         }
-        if self.faults.take(|p| &mut p.resize) {
+        if due(&mut self.faults.now().resized) {
             height /= 2;
             counts.truncate(width as usize * height as usize);
         }
@@ -379,7 +331,7 @@ impl SimulatedCamera {
     }
 
     fn check(&self) -> Result<(), MockCameraError> {
-        if self.faults.is_disconnected() {
+        if self.faults.now().is_disconnected {
             return Err(MockCameraError::Disconnected);
         }
         Ok(())
@@ -443,7 +395,9 @@ mod tests {
     use super::*;
     use crate::bench::BenchConfig;
     use crate::clock::Clock;
+    use crate::clock::lock;
     use crate::sensor::SensorConfig;
+    use std::sync::Mutex;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     /// As bright as the sum of the channels.
@@ -564,43 +518,43 @@ mod tests {
         let faults = camera.faults();
         let before = camera.grab(KEY).unwrap().sequence;
         let ordinary = camera.grab(KEY).unwrap().sequence - before;
-        faults.inject(CameraFault::Drop(2));
+        faults.now().lost = 2;
         let after = camera.grab(KEY).unwrap();
         assert_eq!(after.sequence, before + 2 * ordinary + 2);
         assert_eq!(after.lost, 2);
-        faults.inject(CameraFault::Corrupt(1));
+        faults.now().corrupt = 1;
         let corrupt = camera.grab(KEY).unwrap();
         assert!(corrupt.damaged);
         assert!(corrupt.counts.iter().filter(|&&c| c > 200).count() > 16);
         assert!(camera.grab(KEY).unwrap().counts.iter().all(|&c| c < 100));
-        faults.inject(CameraFault::Truncate(1));
+        faults.now().truncated = 1;
         let short = camera.grab(KEY).unwrap();
         assert_eq!((short.height, short.counts.len()), (8, 96));
-        faults.inject(CameraFault::Resize(1));
+        faults.now().resized = 1;
         let small = camera.grab(KEY).unwrap();
         assert_eq!((small.width, small.height, small.counts.len()), (16, 4, 64));
-        faults.inject(CameraFault::Late(1));
+        faults.now().late = 1;
         let asked_s = camera.bench().clock().now_s();
         let late = camera.grab(KEY).unwrap();
         assert!(late.timestamp_s < asked_s && late.sequence == small.sequence);
         assert!(camera.grab(KEY).unwrap().timestamp_s >= asked_s);
-        faults.inject(CameraFault::Stall(1));
+        faults.now().stalled = 1;
         assert!(matches!(
             camera.grab(KEY),
             Err(MockCameraError::NoFrame { .. })
         ));
-        faults.inject(CameraFault::IgnoreSettings(1));
+        faults.now().ignored_settings = 1;
         camera.configure(0.5, 1.0).unwrap();
         for _ in 0..4 {
             assert_eq!(camera.grab(KEY).unwrap().settings.exposure_s, 20e-6);
         }
-        faults.inject(CameraFault::Disconnect);
+        faults.now().is_disconnected = true;
         assert_eq!(camera.grab(KEY), Err(MockCameraError::Disconnected));
         assert_eq!(
             camera.configure(0.1, 1.0),
             Err(MockCameraError::Disconnected)
         );
-        faults.clear();
+        *faults.now() = Failures::default();
         assert!(camera.grab(KEY).is_ok());
     }
 

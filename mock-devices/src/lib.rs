@@ -9,6 +9,7 @@ pub mod bench;
 pub mod camera;
 pub mod clock;
 pub mod dmx;
+pub mod failing;
 pub mod glare;
 pub mod grbl;
 pub mod motion;

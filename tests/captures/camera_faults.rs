@@ -10,9 +10,7 @@ use std::time::Duration;
 use crate::camera_support::documented_faults;
 use crate::capture_support::*;
 use mock_devices::bench::{Bench as MockBench, BenchConfig};
-use mock_devices::camera::{
-    CameraConfig, CameraFault, CameraFaults, SimulatedCamera as MockCamera,
-};
+use mock_devices::camera::{CameraConfig, CameraFaults, Failures, SimulatedCamera as MockCamera};
 use mock_devices::clock::Clock;
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
@@ -24,11 +22,13 @@ use rig::session::faults::UnsyncedDisk;
 use rig::session::{Session, SessionWriter, Sidecar};
 use rig::units::Seconds;
 
+type Fault = fn(&mut Failures);
+
 /// A grey wedge under the lamp of the bench in memory; at one of its frames
 /// something goes wrong.
 struct Wedge {
     bench: Bench,
-    faults: Mutex<Option<(u32, CameraFault, CameraFaults)>>,
+    faults: Mutex<Option<(u32, Fault, CameraFaults)>>,
     frames: AtomicU32,
 }
 
@@ -42,7 +42,7 @@ impl RadianceSource for Wedge {
         if let Some((at, fault, faults)) = &*self.faults.lock().unwrap()
             && frame == *at
         {
-            faults.inject(*fault);
+            fault(&mut faults.now());
         }
         let power = match self.bench.world().lamp {
             LampState::Off => 0.0,
@@ -56,7 +56,7 @@ impl RadianceSource for Wedge {
 
 /// A camera with the calibration's noise and no flaws of single pixels. With a
 /// fault it goes wrong at this frame that shows the scene.
-fn camera(bench: &Bench, fault: Option<(u32, CameraFault)>) -> SimulatedCamera {
+fn camera(bench: &Bench, fault: Option<(u32, Fault)>) -> SimulatedCamera {
     let sensor = SensorConfig {
         dark_current_e_s: 1.0,
         dsnu_e_s: 0.0,
@@ -129,20 +129,20 @@ fn undisturbed() -> Frames {
 }
 
 /// Faults that pass, and what the sidecars say of them.
-const PASSING: [(&str, CameraFault, Retakes); 8] = [
+const PASSING: [(&str, Fault, Retakes); 8] = [
     (
         "frames dropped",
-        CameraFault::Drop(3),
+        |camera| camera.lost = 3,
         Retakes { dropped: 3, ..NONE },
     ),
     (
         "frame damaged",
-        CameraFault::Corrupt(2),
+        |camera| camera.corrupt = 2,
         Retakes { damaged: 2, ..NONE },
     ),
     (
         "frame short",
-        CameraFault::Truncate(1),
+        |camera| camera.truncated = 1,
         Retakes {
             wrong_size: 1,
             ..NONE
@@ -150,7 +150,7 @@ const PASSING: [(&str, CameraFault, Retakes); 8] = [
     ),
     (
         "frame of the wrong size",
-        CameraFault::Resize(3),
+        |camera| camera.resized = 3,
         Retakes {
             wrong_size: 3,
             ..NONE
@@ -158,31 +158,33 @@ const PASSING: [(&str, CameraFault, Retakes); 8] = [
     ),
     (
         "frame late",
-        CameraFault::Late(2),
+        |camera| camera.late = 2,
         Retakes { late: 2, ..NONE },
     ),
     (
         "no frame",
-        CameraFault::Stall(1),
+        |camera| camera.stalled = 1,
         Retakes { missing: 1, ..NONE },
     ),
     (
         "exposure ignored",
-        CameraFault::IgnoreSettings(1),
+        |camera| camera.ignored_settings = 1,
         Retakes {
             exposure_ignored: 1,
             ..NONE
         },
     ),
     (
-        "camera gone and back",
-        CameraFault::Disconnect,
+        GONE_AND_BACK,
+        |camera| camera.is_disconnected = true,
         Retakes {
             reconnected: 1,
             ..NONE
         },
     ),
 ];
+
+const GONE_AND_BACK: &str = "camera gone and back";
 
 const NONE: Retakes = Retakes {
     dropped: 0,
@@ -208,17 +210,17 @@ fn what_passes_is_taken_again_counted_and_told() {
         let mut camera = camera(&bench, Some((AT, fault)));
         let faults = camera.faults();
         let done = Arc::new(AtomicU32::new(0));
-        let replugged = (fault == CameraFault::Disconnect).then(|| {
+        let replugged = (name == GONE_AND_BACK).then(|| {
             camera.wait_for_return(Seconds(60.0));
             let (bench, done) = (bench.clone(), done.clone());
             std::thread::spawn(move || {
                 // The warning comes when the lamp is about to go off.
-                while !faults.is_disconnected() && done.load(Ordering::Relaxed) == 0 {
+                while !faults.now().is_disconnected && done.load(Ordering::Relaxed) == 0 {
                     std::thread::sleep(Duration::from_millis(2));
                 }
                 std::thread::sleep(Duration::from_millis(100));
                 let lamp = bench.world().lamp;
-                faults.clear();
+                *faults.now() = Failures::default();
                 lamp
             })
         });
@@ -245,26 +247,32 @@ fn what_passes_is_taken_again_counted_and_told() {
 type Check = fn(&CaptureError) -> bool;
 
 /// Faults that stay, and the error that they end with.
-const LASTING: [(&str, CameraFault, Check); 4] = [
+const LASTING: [(&str, Fault, Check); 4] = [
     (
         "frames damaged for good",
-        CameraFault::Corrupt(u32::MAX),
+        |camera| camera.corrupt = u32::MAX,
         |error| matches!(error, CaptureError::Device(DeviceError::BadFrame { .. })),
     ),
-    ("no frame for good", CameraFault::Stall(u32::MAX), |error| {
-        matches!(error, CaptureError::Device(DeviceError::NoReply { .. }))
-    }),
+    (
+        "no frame for good",
+        |camera| camera.stalled = u32::MAX,
+        |error| matches!(error, CaptureError::Device(DeviceError::NoReply { .. })),
+    ),
     (
         "exposure ignored for good",
-        CameraFault::IgnoreSettings(u32::MAX),
+        |camera| camera.ignored_settings = u32::MAX,
         |error| matches!(error, CaptureError::ExposureNotApplied { .. }),
     ),
-    ("camera gone for good", CameraFault::Disconnect, |error| {
-        matches!(
-            error,
-            CaptureError::Device(DeviceError::Disconnected { .. })
-        )
-    }),
+    (
+        "camera gone for good",
+        |camera| camera.is_disconnected = true,
+        |error| {
+            matches!(
+                error,
+                CaptureError::Device(DeviceError::Disconnected { .. })
+            )
+        },
+    ),
 ];
 
 #[test]
@@ -312,7 +320,7 @@ fn one_exposure(stuck_s: Option<f64>) -> (Result<Outcome, CaptureError>, Vec<Str
         let settings = CameraSettings::new(Seconds(stuck_s), 1.0);
         camera.configure(settings).unwrap();
         let faults = camera.faults();
-        faults.inject(CameraFault::IgnoreSettings(u32::MAX));
+        faults.now().ignored_settings = u32::MAX;
     }
     let (result, heard) = capture_with_camera(&bench, Box::new(camera), session);
     assert_eq!(bench.world().lamp, LampState::Off);

@@ -230,26 +230,21 @@ fn bad_lists_are_refused_before_anything_is_made() {
         fs::write(&file, text).unwrap();
         answered(folder, "\n")
     };
-    const LIST: &str = "the list has a table [[sample]] for each sample";
-    for (list, fact, hint) in [
-        ("", "samples.toml:1: `sample` is missing", LIST),
-        (
-            "[[sample]]\nname = \"a\"\n[[sample]]\nname = \"a\"",
-            "samples.toml:4: `sample[1].name` is \"a\", but must be another name than that of sample[0]",
-            LIST,
-        ),
-        (
-            "[[sample]]\nname = \"a\"\nrepeat = 3",
-            "samples.toml:3: unknown key `sample[0].repeat`; known here: name, material, comment, lights, light, repeats, again",
-            LIST,
-        ),
-        (
-            "[[sample]]\nname = \"a\"\nrepeats = 0",
-            "`sample[0].repeats` is 0, but must be an integer from 1 to 100",
-            LIST,
-        ),
-        ("[[sample]\n", "not valid TOML", "TOML"),
-    ] {
+    // `; ` ends a line of the list.
+    for [list, fact] in cases(
+        r#"
+        | samples.toml:1: `sample` is missing
+        [[sample]]; name = "a"; [[sample]]; name = "a" | samples.toml:4: `sample[1].name` is "a", but must be another name than that of sample[0]
+        [[sample]]; name = "a"; repeat = 3 | samples.toml:3: unknown key `sample[0].repeat`; known here: name, material, comment, lights, light, repeats, again
+        [[sample]]; name = "a"; repeats = 0 | `sample[0].repeats` is 0, but must be an integer from 1 to 100
+        [[sample]; name | not valid TOML
+    "#,
+    ) {
+        let hint = match fact {
+            "not valid TOML" => "TOML",
+            _ => "the list has a table [[sample]] for each sample",
+        };
+        let list = &list.replace("; ", "\n");
         assert_fails(&with_list(list), 1, fact, hint);
         assert!(!folder.join("sessions").exists());
     }

@@ -251,41 +251,19 @@ fn records_that_contradict_each_other_are_named() {
 fn a_plan_outside_its_ranges_is_refused() {
     let folder = workplace(|text| text);
     let whole = one_light(&folder);
-    let changes: [(&str, &str, &str); 9] = [
-        (
-            "longest_s",
-            "1e-9",
-            "plan.exposure.longest_s` is 0.000000001",
-        ),
-        ("shortest_s", "-0.1", "plan.exposure.shortest_s` is -0.1"),
-        (
-            "peak_fraction",
-            "0.0",
-            "plan.exposure.peak_fraction` is 0, but must be 0.1 to 0.95",
-        ),
-        (
-            "settle_s",
-            "nan",
-            "plan.settle_s` is NaN, but must be 0 to 60",
-        ),
-        ("lamp_settle_s", "-inf", "plan.lamp_settle_s` is -inf"),
-        (
-            "lamp_warm_up_s",
-            "inf",
-            "plan.lamp_warm_up_s` is inf, but must be 0 to 7200",
-        ),
-        (
-            "dark_frames",
-            "4000000000",
-            "plan.exposure.dark_frames` is 4000000000",
-        ),
-        (
-            "max_frames",
-            "0",
-            "plan.exposure.max_frames` is 0, but must be 1 to 4096",
-        ),
-        ("azimuth_deg", "nan", "plan.lights[0]` is"),
-    ];
+    let changes = cases(
+        "
+        longest_s | 1e-9 | plan.exposure.longest_s` is 0.000000001
+        shortest_s | -0.1 | plan.exposure.shortest_s` is -0.1
+        peak_fraction | 0.0 | plan.exposure.peak_fraction` is 0, but must be 0.1 to 0.95
+        settle_s | nan | plan.settle_s` is NaN, but must be 0 to 60
+        lamp_settle_s | -inf | plan.lamp_settle_s` is -inf
+        lamp_warm_up_s | inf | plan.lamp_warm_up_s` is inf, but must be 0 to 7200
+        dark_frames | 4000000000 | plan.exposure.dark_frames` is 4000000000
+        max_frames | 0 | plan.exposure.max_frames` is 0, but must be 1 to 4096
+        azimuth_deg | nan | plan.lights[0]` is
+    ",
+    );
     let forged = |name: &str, text: &str| {
         let root = folder.path().join(name);
         copy(&whole, &root);
@@ -299,7 +277,7 @@ fn a_plan_outside_its_ranges_is_refused() {
     };
     let text = fs::read_to_string(whole.join(layout::SESSION_FILE)).unwrap();
     let (before, plan) = text.split_once("[plan]").unwrap();
-    for (key, value, fact) in changes {
+    for [key, value, fact] in changes {
         let (head, rest) = plan.split_once(&format!("\n{key} = ")).expect(key);
         let (_, tail) = rest.split_once('\n').unwrap();
         let changed = format!("{before}[plan]{head}\n{key} = {value}\n{tail}");
@@ -404,22 +382,15 @@ fn what_cannot_be_written_is_refused_before_the_work() {
     let session = whole.to_str().unwrap();
     // The scene's images do not exist: what is written is looked at before what is read.
     fs::write(at.join("scene.toml"), SCENE).unwrap();
-    for (arguments, fact) in [
-        (
-            &words("fit --scene scene.toml --image none.exr --out file/x")[..],
-            "file/x: ",
-        ),
-        (
-            &words("fit --scene scene.toml --image none.exr --out /proc/x"),
-            "/proc/x: ",
-        ),
-        (
-            &words("render --scene scene.toml --spp 65536 --out /proc/x.exr"),
-            "/proc/x.exr: ",
-        ),
-        (&["calibrate", "sensor", "--out", "file/x"], "file/x: "),
-    ] {
-        assert_fails(&run_to_its_end(at, arguments), 1, fact, "");
+    for [line, fact] in cases(
+        "
+        fit --scene scene.toml --image none.exr --out file/x | file/x:
+        fit --scene scene.toml --image none.exr --out /proc/x | /proc/x:
+        render --scene scene.toml --spp 65536 --out /proc/x.exr | /proc/x.exr:
+        calibrate sensor --out file/x | file/x:
+    ",
+    ) {
+        assert_fails(&run_to_its_end(at, &words(line)), 1, fact, "");
     }
     // Neither a folder nor a place for one: with the paths of a fit of hours.
     fs::write(whole.join("fits"), "").unwrap();

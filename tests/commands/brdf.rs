@@ -2,7 +2,7 @@
 
 use crate::fitted_session;
 
-use crate::command_support::{ended, run, words};
+use crate::command_support::{cases, ended, run, words};
 use std::path::Path;
 
 /// Exit code, stdout, stderr.
@@ -127,63 +127,30 @@ fn bad_input_is_one_line_and_a_hint() {
     std::fs::write(folder.path().join("junk.json"), b"{\"atoms\": []}").unwrap();
     let wide = b"atoms = [{ type = \"ggx\", alpha = 2.0, eta = 1.5 }]";
     std::fs::write(folder.path().join("wide.toml"), wide).unwrap();
-    for (arguments, said) in [
-        (
-            &["check", "nbrdf:gold"] as &[&str],
-            "no embedded material \"gold\"",
-        ),
-        (&["check", "gold"], "\"gold\" is no BRDF"),
-        (&["check", "ggx:2,1.5"], "alpha 2"),
-        (&["check", "missing.binary"], "missing.binary"),
-        (&["check", "junk.binary"], "at least 12"),
-        (&["check", "junk.bsdf"], "ends inside its header"),
-        (&["check", "paper42:missing.csv"], "missing.csv"),
-        (
-            &["project", "lambertian:0.5", "--dictionary", "junk.json"],
-            "0 atoms",
-        ),
-        (
-            &["project", "lambertian:0.5", "--dictionary", "wide.toml"],
-            "hint: a dictionary is a list `atoms`",
-        ),
-        (&["project", "lambertian:0.5", "--size", "4"], "8 to 512"),
-        (
-            &["convert", "lambertian:0.5", "--out", "x.merl"],
-            "the name ends in none of .binary",
-        ),
-        (
-            &["convert", "lambertian:0.5", "--out", "no/folder/x.binary"],
-            "x.binary",
-        ),
-        (
-            &["plot", "lambertian:0.5", "--out", "x.jpg"],
-            "ends in .png",
-        ),
-        (
-            &["eval", "--brdf", "lambertian:0.5", "--angles", "none.csv"],
-            "none.csv",
-        ),
-        (
-            &words("plot ggx:0.1,1.5 --kind difference --out x.png"),
-            "a difference needs two BRDFs",
-        ),
-        (
-            &words("plot ggx:0.1,1.5 --kind lobes --angles 15,95 --out x.svg"),
-            "allowed are 0 to 89 degrees",
-        ),
-        (
-            &words("plot ggx:0.1,1.5 --kind slices --channels rgr --out x.svg"),
-            "the letters r, g and b",
-        ),
-        (
-            &words("plot ggx:0.1,1.5 gold --kind lobes --out x.svg"),
-            "\"gold\" is no BRDF",
-        ),
-        (
-            &["compare", "ggx:0.1,1.5", "ggx:0.2,1.5", "--constrained"],
-            "neither ggx:0.1,1.5 nor ggx:0.2,1.5 is a fit",
-        ),
-    ] {
+    for [line, said] in cases(
+        r#"
+        check nbrdf:gold | no embedded material "gold"
+        check gold | "gold" is no BRDF
+        check ggx:2,1.5 | alpha 2
+        check missing.binary | missing.binary
+        check junk.binary | at least 12
+        check junk.bsdf | ends inside its header
+        check paper42:missing.csv | missing.csv
+        project lambertian:0.5 --dictionary junk.json | 0 atoms
+        project lambertian:0.5 --dictionary wide.toml | hint: a dictionary is a list `atoms`
+        project lambertian:0.5 --size 4 | 8 to 512
+        convert lambertian:0.5 --out x.merl | the name ends in none of .binary
+        convert lambertian:0.5 --out no/folder/x.binary | x.binary
+        plot lambertian:0.5 --out x.jpg | ends in .png
+        eval --brdf lambertian:0.5 --angles none.csv | none.csv
+        plot ggx:0.1,1.5 --kind difference --out x.png | a difference needs two BRDFs
+        plot ggx:0.1,1.5 --kind lobes --angles 15,95 --out x.svg | allowed are 0 to 89 degrees
+        plot ggx:0.1,1.5 --kind slices --channels rgr --out x.svg | the letters r, g and b
+        plot ggx:0.1,1.5 gold --kind lobes --out x.svg | "gold" is no BRDF
+        compare ggx:0.1,1.5 ggx:0.2,1.5 --constrained | neither ggx:0.1,1.5 nor ggx:0.2,1.5 is a fit
+    "#,
+    ) {
+        let arguments = &words(line)[..];
         let (code, out, err) = rig(folder.path(), arguments);
         assert_eq!((code, out.as_str()), (1, ""), "{arguments:?}: {err}");
         assert!(
@@ -216,38 +183,23 @@ fn merl(value: f64, others: &[(usize, f64)]) -> Vec<u8> {
 #[test]
 fn cells_without_a_value_are_counted() {
     let folder = tempfile::tempdir().unwrap();
+    let nan = f64::NAN;
+    let unmeasured = merl(100.0, &[(0, -1.0)]);
+    let above = [nan, f64::INFINITY].map(|value| merl(100.0, &[(7, value)]));
+    let none = "nodes without value   0 not measured, 0 undefined";
+    let one = "nodes without value   1 not measured, 0 undefined";
+    let undefined = "1 above the horizon are undefined";
+    let no_table = "is no measured table: of its 216 nodes,";
+    let too_few = "are marked as not measured (allowed half)";
+    let infinite = "undefined or infinite (allowed 0)";
     for (bytes, code, said) in [
-        (
-            merl(100.0, &[]),
-            0,
-            "nodes without value   0 not measured, 0 undefined",
-        ),
-        (
-            merl(100.0, &[(0, -1.0)]),
-            0,
-            "nodes without value   1 not measured, 0 undefined",
-        ),
-        (
-            merl(f64::NAN, &[]),
-            1,
-            "is no measured table: of its 216 nodes,",
-        ),
-        (
-            merl(-1.0, &[]),
-            1,
-            "are marked as not measured (allowed half)",
-        ),
-        (merl(1e300, &[]), 1, "undefined or infinite (allowed 0)"),
-        (
-            merl(100.0, &[(7, f64::NAN)]),
-            1,
-            "1 above the horizon are undefined",
-        ),
-        (
-            merl(100.0, &[(7, f64::INFINITY)]),
-            1,
-            "1 above the horizon are undefined",
-        ),
+        (merl(100.0, &[]), 0, none),
+        (unmeasured, 0, one),
+        (merl(nan, &[]), 1, no_table),
+        (merl(-1.0, &[]), 1, too_few),
+        (merl(1e300, &[]), 1, infinite),
+        (above[0].clone(), 1, undefined),
+        (above[1].clone(), 1, undefined),
         (merl(1e30, &[]), 1, "is not physical"),
     ] {
         std::fs::write(folder.path().join("m.binary"), bytes).unwrap();

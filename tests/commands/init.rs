@@ -9,7 +9,7 @@ use std::process::{Child, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use crate::command_support::{assert_fails, good, json, rig, run, text};
+use crate::command_support::{assert_fails, cases, good, json, rig, run, text};
 use rig::config::RigConfig;
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -160,51 +160,30 @@ fn the_questions_are_listed_for_programs() {
 fn what_cannot_be_is_refused_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let with = |key: &str, value: Value| {
+    // A key and its value in JSON; or all that is given.
+    for [key, value, fact] in cases(
+        r#"
+        warm_up_s | 8000 | `warm_up_s` is 8000, but must be a number from 0 to 7200 (s)
+        name | "Cellar" | `name` is Cellar, but must be 1 to 40 of a-z
+        lamp_power | 3 | there is no question `lamp_power`
+        stage | "zaber" | `first_scale` is missing
+        camera | "command ./photo" | `camera` is command ./photo, but must be
+        | [1, 2] | not an object of answers
+        | {"name": | not an object of answers
+    "#,
+    ) {
         let mut answers = answers("grbl");
-        answers[key] = value;
-        answers.to_string()
-    };
-    let lists = "`rig init --questions --json` lists every question";
-    for (given, fact, hint) in [
-        (
-            with("warm_up_s", json!(8000)),
-            "`warm_up_s` is 8000, but must be a number from 0 to 7200 (s)",
-            lists,
-        ),
-        (
-            with("name", json!("Cellar")),
-            "`name` is Cellar, but must be 1 to 40 of a-z",
-            lists,
-        ),
-        (
-            with("lamp_power", json!(3)),
-            "there is no question `lamp_power`",
-            lists,
-        ),
-        (
-            answers("zaber")
-                .to_string()
-                .replace("\"first_scale\":2016,", ""),
-            "`first_scale` is missing",
-            lists,
-        ),
-        (
-            with("camera", json!("command ./photo")),
-            "`camera` is command ./photo, but must be",
-            lists,
-        ),
-        (
-            "[1, 2]".to_owned(),
-            "not an object of answers",
-            "answers are a JSON object such as",
-        ),
-        (
-            "{\"name\": ".to_owned(),
-            "not an object of answers",
-            "`rig init --questions --json` lists the keys",
-        ),
-    ] {
+        let (given, hint) = match key {
+            "" => (
+                value.to_owned(),
+                r#"answers are a JSON object such as {"name": "arm", "width_px": 1920}; `rig init --questions --json` lists the keys"#,
+            ),
+            key => {
+                answers[key] = serde_json::from_str(value).unwrap();
+                let lists = "`rig init --questions --json` lists every question";
+                (answers.to_string(), lists)
+            }
+        };
         let output = init(at, &given, &[]);
         assert_fails(&output, 1, fact, hint);
         assert_eq!(std::fs::read_dir(at).unwrap().count(), 0, "{fact}");

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::command_support::{self, run as rig, stderr, words};
+use crate::command_support::{self, cases, run as rig, stderr, words};
 use crate::fitted_session::{LAB, fit, session};
 use rig::brdf::HalfDifference;
 use rig::report::certificate::{CertificateRequest, certificate};
@@ -72,19 +72,15 @@ fn nothing_of_a_browser_stays() {
         wait("ended", &|| pids.split_whitespace().all(is_over));
         wait("cleared", &is_clear);
     }
-    for (act, fact) in [
-        (
-            "mkfifo $file",
-            "its file cannot be read: it is a named pipe",
-        ),
-        (
-            "ln -s /dev/zero $file",
-            "its file cannot be read: it is a device",
-        ),
-        ("echo none > $file", "what it wrote is none"),
-        ("exit 3", "it failed (exit status: 3)"),
-        (":", "it wrote no file"),
-    ] {
+    for [act, fact] in cases(
+        "
+        mkfifo $file | its file cannot be read: it is a named pipe
+        ln -s /dev/zero $file | its file cannot be read: it is a device
+        echo none > $file | what it wrote is none
+        exit 3 | it failed (exit status: 3)
+        : | it wrote no file
+    ",
+    ) {
         let options = "for a in \"$@\"; do case $a in --print-to-pdf=*) file=${a#*=};; esac; done";
         let output = start(&format!("{options}\n{act}"))
             .wait_with_output()

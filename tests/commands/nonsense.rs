@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use crate::command_support::run_line as rig;
+use crate::command_support::{cases, run_line as rig};
 use rig::radiance_image::{RadianceImage, exr};
 
 /// A bowl under two lights, of a material that no dictionary holds exactly.
@@ -119,11 +119,6 @@ fn noise(pixel: usize, channel: usize) -> f32 {
 type Nonsense = (&'static str, String, Vec<RadianceImage>, &'static str);
 
 fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
-    let same = || SCENE.to_owned();
-    let with = |from: &str, to: &str| {
-        assert!(SCENE.contains(from), "{from}");
-        SCENE.replace(from, to)
-    };
     let constant = |value: f32, variance: f32| {
         each(good, |_, m, v| {
             (*m, *v) = ([value; 3], [variance; 3]);
@@ -148,7 +143,7 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             (*m, *v) = ([value; 3], [1e-6; 3]);
         })
     };
-    let middle = 12 * 24 + 12;
+    let (one, four) = (300..301, 300..304);
     let with_variance = |variance: f32| each(good, |_, _, v| *v = [variance; 3]);
     let times_variance = |factor: f32| each(good, |_, _, v| *v = v.map(|v| factor * v));
     let second_as_first = vec![good[0].clone(), good[0].clone()];
@@ -160,200 +155,86 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             v[0] *= factor * factor;
         })
     };
-    vec![
-        ("black", same(), constant(0.0, 0.0), "shows no light"),
-        (
-            "black with noise",
-            same(),
-            constant(0.0, 1e-6),
-            "shows no light",
-        ),
-        (
-            "nearly black",
-            same(),
-            constant(1e-8, 1e-22),
-            "shows no light",
-        ),
+    let warm_noise = each(&noisy(1e-3, 1e-7), |_, m, _| *m = m.map(|v| v + 0.3));
+    let negative = each(good, |_, m, _| *m = m.map(|v| -v));
+    let half_negative = each(good, |p, m, _| {
+        if p % 24 < 12 {
+            *m = m.map(|v| -v)
+        }
+    });
+    let of_images = [
+        ("black", constant(0.0, 0.0), "shows no light"),
+        ("black with noise", constant(0.0, 1e-6), "shows no light"),
+        ("nearly black", constant(1e-8, 1e-22), "shows no light"),
         (
             "constant",
-            same(),
             constant(0.3, 1e-6),
             "same radiance in every pixel",
         ),
-        (
-            "constant with noise",
-            same(),
-            noisy(1e-3, 1e-7)
-                .iter()
-                .map(|i| each(std::slice::from_ref(i), |_, m, _| *m = m.map(|v| v + 0.3)).remove(0))
-                .collect(),
-            "",
-        ),
-        ("noise", same(), noisy(0.6, 0.03), ""),
-        ("noise said to be exact", same(), noisy(0.6, 1e-6), ""),
-        (
-            "one lit pixel",
-            same(),
-            lit(middle..middle + 1, 0.0),
-            "in one pixel",
-        ),
-        (
-            "one lit pixel, dim",
-            same(),
-            lit(middle..middle + 1, 1e-5),
-            "in one pixel",
-        ),
-        ("four lit pixels", same(), lit(middle..middle + 4, 0.0), ""),
-        (
-            "negative",
-            same(),
-            each(good, |_, m, _| *m = m.map(|v| -v)),
-            "negative",
-        ),
-        (
-            "half negative",
-            same(),
-            each(good, |p, m, _| {
-                if p % 24 < 12 {
-                    *m = m.map(|v| -v)
-                }
-            }),
-            "negative",
-        ),
-        (
-            "a third as bright",
-            same(),
-            scaled(good, 0.33),
-            "times the stated one",
-        ),
-        (
-            "a fifth as bright",
-            same(),
-            scaled(good, 0.2),
-            "times the stated one",
-        ),
-        (
-            "3 times too bright",
-            same(),
-            scaled(good, 3.0),
-            "times the stated one",
-        ),
-        (
-            "10 times too bright",
-            same(),
-            scaled(good, 10.0),
-            "times as bright",
-        ),
-        (
-            "30 times too bright",
-            same(),
-            scaled(good, 30.0),
-            "times as bright",
-        ),
-        (
-            "1000 times too bright",
-            same(),
-            scaled(good, 1000.0),
-            "times as bright",
-        ),
-        (
-            "unphysically bright",
-            same(),
-            scaled(good, 1e15),
-            "times as bright",
-        ),
-        (
-            "beyond all numbers",
-            same(),
-            scaled(good, 1e30),
-            "enough valid pixels",
-        ),
+        ("constant with noise", warm_noise, ""),
+        ("noise", noisy(0.6, 0.03), ""),
+        ("noise said to be exact", noisy(0.6, 1e-6), ""),
+        ("one lit pixel", lit(one.clone(), 0.0), "in one pixel"),
+        ("one lit pixel, dim", lit(one.clone(), 1e-5), "in one pixel"),
+        ("four lit pixels", lit(four, 0.0), ""),
+        ("negative", negative, "negative"),
+        ("half negative", half_negative, "negative"),
         (
             "one channel 10 times too bright",
-            same(),
             channel(10.0),
             "red channel",
         ),
-        ("variance 0", same(), with_variance(0.0), "variance"),
-        (
-            "huge variance",
-            same(),
-            with_variance(1e6),
-            "shows no light",
-        ),
+        ("variance 0", with_variance(0.0), "variance"),
+        ("huge variance", with_variance(1e6), "shows no light"),
         (
             "variance 400 times too large",
-            same(),
             times_variance(400.0),
             "scatter",
         ),
-        (
-            "light behind",
-            with("[0.1, 0.05, 0.99]", "[0.1, 0.05, -0.99]"),
-            good.to_vec(),
-            "reaches 0.0% of what the camera sees",
-        ),
-        (
-            "light at the horizon",
-            with("[0.5, 0.2, 0.85]", "[1.0, 0.0, 0.0]"),
-            good.to_vec(),
-            "light 2 reaches 0.0%",
-        ),
-        (
-            "no irradiance",
-            with("irradiance = 3.14", "irradiance = 0.0"),
-            good.to_vec(),
-            "irradiance of light 1",
-        ),
-        (
-            "no blue irradiance",
-            with("irradiance = 3.14", "irradiance = [3.14, 3.14, 0.0]"),
-            good.to_vec(),
-            "blue irradiance",
-        ),
-        (
-            "sample out of view",
-            with(
-                "position_mm = [0.0, 0.0, 5.0]",
-                "position_mm = [9.0, 0.0, 5.0]\nlook_at_mm = [9.0, 0.0, 0.0]",
-            ),
-            good.to_vec(),
-            "outside the camera's view",
-        ),
-        (
-            "seen from behind",
-            with(
-                "position_mm = [0.0, 0.0, 5.0]",
-                "position_mm = [0.0, 0.0, -5.0]",
-            ),
-            good.to_vec(),
-            "faces away from the camera",
-        ),
-        (
-            "sample in metres",
-            with("radius_mm = 1.0", "radius_mm = 0.001"),
-            good.to_vec(),
-            "metres",
-        ),
-        (
-            "images exchanged",
-            same(),
-            exchanged,
-            "looks like that of light",
-        ),
-        (
-            "images mirrored",
-            same(),
-            mirrored,
-            "looks like that of light",
-        ),
-        (
-            "one image twice",
-            same(),
-            second_as_first,
-            "equal in every pixel",
-        ),
-    ]
+        ("images exchanged", exchanged, "looks like that of light"),
+        ("images mirrored", mirrored, "looks like that of light"),
+        ("one image twice", second_as_first, "equal in every pixel"),
+    ];
+    let of_images =
+        of_images.map(|(what, images, reason)| (what, SCENE.to_owned(), images, reason));
+    let of_brightness = cases(
+        "
+        a third as bright | 0.33 | times the stated one
+        a fifth as bright | 0.2 | times the stated one
+        3 times too bright | 3.0 | times the stated one
+        10 times too bright | 10.0 | times as bright
+        30 times too bright | 30.0 | times as bright
+        1000 times too bright | 1000.0 | times as bright
+        unphysically bright | 1e15 | times as bright
+        beyond all numbers | 1e30 | enough valid pixels
+    ",
+    );
+    let of_brightness = of_brightness.map(|[what, factor, reason]| {
+        let images = scaled(good, factor.parse().unwrap());
+        (what, SCENE.to_owned(), images, reason)
+    });
+    // What the scene has, and what stands there instead.
+    let of_scenes = cases(
+        r"
+        light behind | [0.1, 0.05, 0.99] | [0.1, 0.05, -0.99] | reaches 0.0% of what the camera sees
+        light at the horizon | [0.5, 0.2, 0.85] | [1.0, 0.0, 0.0] | light 2 reaches 0.0%
+        no irradiance | irradiance = 3.14 | irradiance = 0.0 | irradiance of light 1
+        no blue irradiance | irradiance = 3.14 | irradiance = [3.14, 3.14, 0.0] | blue irradiance
+        sample out of view | [0.0, 0.0, 5.0] | [9.0, 0.0, 5.0]; look_at_mm = [9.0, 0.0, 0.0] | outside the camera's view
+        seen from behind | [0.0, 0.0, 5.0] | [0.0, 0.0, -5.0] | faces away from the camera
+        sample in metres | radius_mm = 1.0 | radius_mm = 0.001 | metres
+    ",
+    );
+    let of_scenes = of_scenes.map(|[what, from, to, reason]| {
+        assert!(SCENE.contains(from), "{from}");
+        let scene = SCENE.replace(from, &to.replace("; ", "\n"));
+        (what, scene, good.to_vec(), reason)
+    });
+    of_images
+        .into_iter()
+        .chain(of_brightness)
+        .chain(of_scenes)
+        .collect()
 }
 
 /// None is praised, and the reason is named.

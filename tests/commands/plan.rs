@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::command_support::{assert_refused, no_session, run, text, with_body, workplace};
+use crate::command_support::{
+    assert_refused, cases, no_session, run, text, with_body, words, workplace,
+};
 use rig::capture::reach::StageReach;
 use rig::config::RigConfig;
 use rig::units::StageAngles;
@@ -46,41 +48,26 @@ fn a_dry_run_prints_the_plan_and_touches_nothing() {
 fn bad_input_is_refused_before_anything_moves() {
     let folder = workplace(|text| text);
     std::fs::write(folder.path().join("file"), "").unwrap();
-    for (arguments, fact) in [
-        (&["capture"][..], "--lights"),
-        (&["capture", "--lights", "none"], "--lights"),
-        (&["capture", "--lights", "99999"], "the stage reaches"),
-        (
-            &["capture", "--light", "0,10"],
-            "outside the stage's limits",
-        ),
-        (&["capture", "--light", "0"], "--light"),
-        (
-            &["capture", "--light", "0,60", "--light", "0,60"],
-            "the light direction azimuth 0.000°",
-        ),
-        (
-            &["capture", "--light", "10,60", "--light", "370,60"],
-            "is named twice, also as",
-        ),
-        (
-            &["capture", "--light", "0,90", "--light", "120,90"],
-            "is named twice, also as",
-        ),
-        (
-            &["capture", "--lights", "1", "--sample", "../x"],
-            "sample name",
-        ),
-        (&["capture", "--lights", "1", "--out", "file/x"], "file"),
-        (
-            &["capture", "--lights", "1", "--rig", "none.toml"],
-            "none.toml",
-        ),
-        (&["capture", "--resume", "nowhere"], "nowhere"),
-        (&["capture", "--resume", "."], "is not a session"),
-        (&["session", "verify", "nowhere"], "nowhere"),
-        (&["session", "list", "nowhere"], "nowhere"),
-    ] {
+    for [line, fact] in cases(
+        "
+        capture | --lights
+        capture --lights none | --lights
+        capture --lights 99999 | the stage reaches
+        capture --light 0,10 | outside the stage's limits
+        capture --light 0 | --light
+        capture --light 0,60 --light 0,60 | the light direction azimuth 0.000°
+        capture --light 10,60 --light 370,60 | is named twice, also as
+        capture --light 0,90 --light 120,90 | is named twice, also as
+        capture --lights 1 --sample ../x | sample name
+        capture --lights 1 --out file/x | file
+        capture --lights 1 --rig none.toml | none.toml
+        capture --resume nowhere | nowhere
+        capture --resume . | is not a session
+        session verify nowhere | nowhere
+        session list nowhere | nowhere
+    ",
+    ) {
+        let arguments = &words(line)[..];
         let output = run(&folder, arguments);
         assert_refused(&output, fact);
         assert_eq!(text(&output.stdout), "", "{arguments:?}");
@@ -103,16 +90,7 @@ fn bad_input_is_refused_before_anything_moves() {
     let coloured = workplace(|text| with_body(&text, red));
     let capture = ["capture", "--lights", "1"];
     assert_refused(&run(&coloured, &capture), "holder.stl");
-    let made = [
-        "shape",
-        "tetrahedron",
-        "--radius",
-        "3",
-        "--depth",
-        "2",
-        "--out",
-        "holder.stl",
-    ];
+    let made = words("shape tetrahedron --radius 3 --depth 2 --out holder.stl");
     assert!(run(&coloured, &made).status.success());
     assert_refused(&run(&coloured, &capture), "geometry.body[0] is coloured");
     no_session(&coloured);
@@ -152,65 +130,38 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
     let scaled = |by: f64| move |c: [f64; 3]| c.map(|x| by * x);
     let out = "the sample is outside the camera's view: ";
     let back = "the sample's surface faces away from the camera: 0.0%";
-    let small = "the sample is too small in the image: it covers 0.0 pixels";
     let dark = "reaches 0.0% of what the camera sees of the sample: 100% is turned away from it";
-    let cases = [
-        (
-            "aside",
-            pit(|[x, y, z]| [x + 30.0, y, z], false),
-            out,
-            "look_at_mm",
-        ),
-        (
-            "nearly aside",
-            pit(|[x, y, z]| [x, y + 18.0, z], false),
-            out,
-            "look_at_mm",
-        ),
-        (
-            "behind the camera",
-            pit(|[x, y, z]| [x, y, z + 300.0], false),
-            out,
-            "position_mm",
-        ),
-        (
-            "micrometres",
-            pit(scaled(1000.0), false),
-            out,
-            "mesh_unit = \"um\" in [geometry.sample]",
-        ),
-        (
-            "metres",
-            pit(scaled(0.001), false),
-            small,
-            "mesh_unit = \"m\" in [geometry.sample]",
-        ),
-        (
-            "a grain",
-            pit(scaled(0.1), false),
-            "it covers 1",
-            "the field of view of [geometry.camera]",
-        ),
-        (
-            "upside down",
-            pit(|[x, y, z]| [x, -y, -z], false),
-            back,
-            "upside down, which mesh_to_sample corrects",
-        ),
-        (
-            "inside out",
-            pit(upright, true),
-            back,
-            "inside out, which flip_facets = true corrects",
-        ),
-        (
-            "lit from below",
-            pit(|[x, y, z]| [x, y, 0.5 * z], false),
-            dark,
-            "[geometry.sample_from_stage]",
-        ),
+    let meshes = [
+        pit(|[x, y, z]| [x + 30.0, y, z], false),
+        pit(|[x, y, z]| [x, y + 18.0, z], false),
+        pit(|[x, y, z]| [x, y, z + 300.0], false),
+        pit(scaled(1000.0), false),
+        pit(scaled(0.001), false),
+        pit(scaled(0.1), false),
+        pit(|[x, y, z]| [x, -y, -z], false),
+        pit(upright, true),
+        pit(|[x, y, z]| [x, y, 0.5 * z], false),
     ];
-    for (name, mesh, fact, remedy) in cases {
+    let rows = cases(
+        r#"
+        aside | OUT | look_at_mm
+        nearly aside | OUT | look_at_mm
+        behind the camera | OUT | position_mm
+        micrometres | OUT | mesh_unit = "um" in [geometry.sample]
+        metres | the sample is too small in the image: it covers 0.0 pixels | mesh_unit = "m" in [geometry.sample]
+        a grain | it covers 1 | the field of view of [geometry.camera]
+        upside down | BACK | upside down, which mesh_to_sample corrects
+        inside out | BACK | inside out, which flip_facets = true corrects
+        lit from below | DARK | [geometry.sample_from_stage]
+    "#,
+    );
+    for ([name, fact, remedy], mesh) in rows.zip(meshes) {
+        let fact = match fact {
+            "OUT" => out,
+            "BACK" => back,
+            "DARK" => dark,
+            fact => fact,
+        };
         let folder = workplace(|text| {
             let (before, rest) = text.split_once("[geometry.sample.shape]").unwrap();
             let (_, after) = rest.split_once("[geometry.sample_from_stage]").unwrap();
@@ -276,16 +227,8 @@ fn shipped_benches_are_sound_and_plan_lights_that_nothing_blocks() {
         let reach = StageReach::of_rig(&config).unwrap();
         let mut longest = Vec::new();
         for count in ["8", "4", "1"] {
-            let words = [
-                "capture",
-                "--rig",
-                name,
-                "--lights",
-                count,
-                "--dry-run",
-                "--json",
-            ];
-            let output = run(&folder, &words);
+            let line = format!("capture --rig {name} --lights {count} --dry-run --json");
+            let output = run(&folder, &words(&line));
             let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
             let lights: Vec<StageAngles> = serde_json::from_value(plan["lights"].clone()).unwrap();
             assert_eq!(lights.len().to_string(), count, "{name}");

@@ -47,7 +47,7 @@ fn every_attack_is_refused_and_the_page_is_there_afterwards() {
     let console = start(folder.path());
     let tables = [strangers(&console), paths_and_methods(), forms(), bodies()];
     let rows: Vec<Row> = tables.into_iter().flatten().collect();
-    let names: BTreeSet<_> = rows.iter().map(|row| row.0).collect();
+    let names: BTreeSet<_> = rows.iter().map(|row| &row.0).collect();
     assert!(
         names.len() == rows.len() && rows.len() >= 90,
         "{}",

@@ -11,7 +11,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::camera_support::{assert_same_within_noise, documented_faults};
-use mock_cameras::ptp::{Body, BodyConfig, BodyFault, PtpServer};
+use mock_cameras::ptp::faults::Faults;
+use mock_cameras::ptp::{Body, BodyConfig, PtpServer};
 use mock_devices::camera::{CameraConfig, SimulatedCamera};
 use mock_devices::sensor::SensorModel;
 use mock_devices::{Illumination, RadianceSource};
@@ -272,28 +273,28 @@ enum Outcome {
 }
 
 /// Faults of the body, by their names in docs/faults.md.
-const FAULTS: [(&str, BodyFault, During, Outcome); 7] = [
+const FAULTS: [(&str, fn(&mut Faults), During, Outcome); 7] = [
     (
         "the body is busy",
-        BodyFault::Busy(2),
+        |body| body.busy = 2,
         During::Settings,
         Outcome::GoesOn,
     ),
     (
         "a file states another exposure, once",
-        BodyFault::WrongExif(1),
+        |body| body.wrong_exif = 1,
         During::Frame,
         Outcome::GoesOn,
     ),
     (
         "a file is cut on its way",
-        BodyFault::CutFile(1),
+        |body| body.cut_files = 1,
         During::Frame,
         Outcome::TakenAgain,
     ),
     (
         "files state another exposure for good",
-        BodyFault::WrongExif(u32::MAX),
+        |body| body.wrong_exif = u32::MAX,
         During::Frame,
         Outcome::Error(
             |error| matches!(error, DeviceError::NotApplied { what, .. } if what.contains("exposure in the raw file")),
@@ -301,19 +302,19 @@ const FAULTS: [(&str, BodyFault, During, Outcome); 7] = [
     ),
     (
         "a speed is refused",
-        BodyFault::RefuseSpeed(1),
+        |body| body.refused_speeds = 1,
         During::Settings,
         Outcome::Error(|error| matches!(error, DeviceError::Refused { .. })),
     ),
     (
         "a speed is accepted and not taken",
-        BodyFault::KeepSpeed(1),
+        |body| body.kept_speeds = 1,
         During::Settings,
         Outcome::Error(|error| matches!(error, DeviceError::NotApplied { .. })),
     ),
     (
         "switched off, or out of reach",
-        BodyFault::Gone,
+        |body| body.is_gone = true,
         During::Frame,
         Outcome::Error(|error| matches!(error, DeviceError::Disconnected { .. })),
     ),
@@ -340,7 +341,7 @@ fn a_body_that_fails_is_reported_as_what_it_does() {
     }
     for (name, fault, during, outcome) in FAULTS {
         camera.configure(settings(0.02, 1.0)).unwrap();
-        faults.inject(fault);
+        fault(&mut faults.now());
         let mut retakes = Retakes::default();
         let result = match during {
             During::Settings => camera.configure(settings(0.05, 1.0)).map(drop),
@@ -358,12 +359,13 @@ fn a_body_that_fails_is_reported_as_what_it_does() {
             (Outcome::Error(_), Ok(())) => panic!("{name}: no error"),
             (_, result) => result.unwrap_or_else(|error| panic!("{name}: {error}")),
         }
-        if fault == BodyFault::Gone {
+        let is_gone = faults.now().is_gone;
+        if is_gone {
             let error = camera.reconnect().unwrap_err();
             assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
         }
         // Afterwards it works again.
-        faults.clear();
+        *faults.now() = Faults::default();
         camera.reconnect().unwrap();
         camera.configure(settings(0.02, 1.0)).unwrap();
         assert!(camera.grab(KEY).is_ok(), "{name}");
@@ -597,10 +599,7 @@ fn a_body_that_does_not_answer_ends_with_the_time_limit() {
     let slow = description(&bench.rig, 2.0);
     let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), slow).unwrap();
     camera.configure(settings(0.02, 1.0)).unwrap();
-    bench
-        .server
-        .faults()
-        .inject(BodyFault::Slow(Duration::from_secs(8)));
+    bench.server.faults().now().slow = Duration::from_secs(8);
     let began = Instant::now();
     let error = camera.grab(KEY).unwrap_err();
     assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
@@ -614,7 +613,7 @@ fn a_body_without_room_for_a_file_ends_with_the_time_limit() {
     let body = format!("port = {}", bench.server.port());
     let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), description(&bench.rig, 2.0)).unwrap();
     camera.configure(settings(0.02, 1.0)).unwrap();
-    bench.server.faults().inject(BodyFault::StorageFull);
+    bench.server.faults().now().is_full = true;
     let error = camera.grab(KEY).unwrap_err();
     assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
 }

@@ -100,35 +100,39 @@ type Check = fn(&Retakes) -> bool;
 
 /// Faults that pass, and what the sidecars report.
 const PASSING: [(&str, Fault, Check); 7] = [
-    ("packets lost", |faults| faults.lose_packets(30), |_| true),
+    (
+        "packets lost",
+        |faults| faults.now().lost_per_thousand = 30,
+        |_| true,
+    ),
     (
         "frame of the wrong size",
-        |faults| faults.halve_frames(2),
+        |faults| faults.now().halved = 2,
         |retakes| retakes.damaged + retakes.wrong_size >= 2,
     ),
     (
         "frame of another pixel format",
-        |faults| faults.change_format(2),
+        |faults| faults.now().other_format = 2,
         |retakes| retakes.damaged == 2,
     ),
     (
         "frame late (an older one)",
-        |faults| faults.repeat_frames(2),
+        |faults| faults.now().late = 2,
         |retakes| retakes.late == 2,
     ),
     (
         "no frame",
-        |faults| faults.swallow_frames(1),
+        |faults| faults.now().silent = 1,
         |retakes| retakes.missing == 1,
     ),
     (
         "control lost in a pause",
-        GigeFaults::forget_controller,
+        |faults| faults.now().forgets_controller = true,
         |retakes| retakes.reconnected == 1,
     ),
     (
         GONE,
-        |faults| faults.unplug(true),
+        |faults| faults.now().is_gone = true,
         |retakes| retakes.reconnected == 1,
     ),
 ];
@@ -147,7 +151,7 @@ fn what_passes_is_taken_again_and_counted() {
         let bench = stand.bench.bench().clone();
         let is_gone = name == GONE;
         let plugged_in = std::thread::spawn(move || {
-            while is_gone && !faults.is_gone() {
+            while is_gone && !faults.now().is_gone {
                 std::thread::sleep(Duration::from_millis(5));
             }
             // The lamp goes off once the frame's time-out and that of a command are over.
@@ -156,7 +160,7 @@ fn what_passes_is_taken_again_and_counted() {
                 std::thread::sleep(Duration::from_secs(12));
                 is_lit = bench.lamp_drive() != [0.0; 3];
             }
-            faults.unplug(false);
+            faults.now().is_gone = false;
             is_lit
         });
         let (root, ended) = capture(&stand.rig, &stand.folder.path().join("s"), devices);
@@ -183,22 +187,22 @@ type IsEnd = fn(&CaptureError) -> bool;
 const LASTING: [(&str, Fault, IsEnd); 4] = [
     (
         "no frame for good",
-        |faults| faults.swallow_frames(u32::MAX),
+        |faults| faults.now().silent = u32::MAX,
         |error| matches!(error, CaptureError::Device(DeviceError::NoReply { .. })),
     ),
     (
         "frames of the wrong size for good",
-        |faults| faults.halve_frames(u32::MAX),
+        |faults| faults.now().halved = u32::MAX,
         |error| matches!(error, CaptureError::Device(DeviceError::BadFrame { .. })),
     ),
     (
         "exposure ignored",
-        |faults| faults.ignore_exposure(true),
+        |faults| faults.now().ignores_exposure = true,
         |error| matches!(error, CaptureError::Device(DeviceError::NotApplied { .. })),
     ),
     (
         "exposure confirmed and ignored",
-        |faults| faults.stick_exposure(Some(700.0)),
+        |faults| faults.now().stuck_exposure_us = Some(700.0),
         |error| matches!(error, CaptureError::ExposureNotApplied { .. }),
     ),
 ];

@@ -115,10 +115,10 @@ fn another_camera_size_or_format_is_refused() {
 fn each_fault_is_seen_and_passes() {
     let stand = Stand::before_a_card(44, SERIAL, 160);
     let faults = stand.device.faults();
-    faults.hold(true);
+    faults.now().is_held = true;
     let held = stand.open_with("").err().unwrap();
     assert!(matches!(held, DeviceError::Controlled { .. }), "{held}");
-    faults.hold(false);
+    faults.now().is_held = false;
     let mut camera = stand.open();
     camera.configure(settings(0.01, 1.0)).unwrap();
     let usual = mean(&camera.grab(KEY).unwrap().counts);
@@ -131,7 +131,7 @@ fn each_fault_is_seen_and_passes() {
         assert!((mean(&frame.counts) / usual - 1.0).abs() < 0.02);
     };
     // Half the height, another format, an old frame.
-    faults.halve_frames(1);
+    faults.now().halved = 1;
     let fault = fault_of(&mut camera);
     assert!(
         matches!(
@@ -145,7 +145,7 @@ fn each_fault_is_seen_and_passes() {
         "{fault}"
     );
     good(&mut camera);
-    faults.change_format(1);
+    faults.now().other_format = 1;
     let fault = fault_of(&mut camera);
     assert!(
         matches!(
@@ -155,11 +155,11 @@ fn each_fault_is_seen_and_passes() {
         "{fault}"
     );
     good(&mut camera);
-    faults.repeat_frames(1);
+    faults.now().late = 1;
     assert_eq!(fault_of(&mut camera), FrameFault::Late);
     good(&mut camera);
     // No frame.
-    faults.swallow_frames(1);
+    faults.now().silent = 1;
     let missing = camera.grab(KEY);
     assert!(
         matches!(missing, Err(DeviceError::NoReply { .. })),
@@ -167,29 +167,29 @@ fn each_fault_is_seen_and_passes() {
     );
     good(&mut camera);
     // Lost packets are requested again, or the frame is.
-    faults.lose_packets(60);
+    faults.now().lost_per_thousand = 60;
     for _ in 0..12 {
         let mut retakes = Retakes::default();
         let frame = grab_right(camera.as_mut(), KEY, &mut retakes).unwrap();
         assert_eq!(frame.counts.len(), 160 * 160);
         assert!((mean(&frame.counts) / usual - 1.0).abs() < 0.02);
     }
-    faults.lose_packets(0);
+    faults.now().lost_per_thousand = 0;
     // An exposure that stays is an error; one that can be set between acquisitions alone is set.
-    faults.ignore_exposure(true);
+    faults.now().ignores_exposure = true;
     let ignored = camera.configure(settings(0.03, 1.0));
     assert!(
         matches!(&ignored, Err(DeviceError::NotApplied { what, .. }) if what == "ExposureTime"),
         "{ignored:?}"
     );
-    faults.ignore_exposure(false);
-    faults.lock_settings(true);
+    faults.now().ignores_exposure = false;
+    faults.now().locks_settings = true;
     let applied = camera.configure(settings(0.02, 1.0)).unwrap();
     assert!((applied.exposure.0 - 0.02).abs() < 1e-9);
     camera.grab(KEY).unwrap();
-    faults.lock_settings(false);
+    faults.now().locks_settings = false;
     // Unplugged, and back as when it was switched on.
-    faults.unplug(true);
+    faults.now().is_gone = true;
     let gone = camera.grab(KEY);
     assert!(
         matches!(gone, Err(DeviceError::Disconnected { .. })),
@@ -199,7 +199,7 @@ fn each_fault_is_seen_and_passes() {
         camera.reconnect(),
         Err(DeviceError::Disconnected { .. })
     ));
-    faults.unplug(false);
+    faults.now().is_gone = false;
     camera.reconnect().unwrap();
     camera.configure(settings(0.01, 1.0)).unwrap();
     good(&mut camera);
@@ -213,10 +213,7 @@ fn a_frame_that_comes_after_its_time_is_not_taken_for_the_next() {
     let mut camera = stand.open();
     camera.configure(settings(0.01, 1.0)).unwrap();
     camera.grab(KEY).unwrap();
-    stand
-        .device
-        .faults()
-        .delay_frame(Duration::from_millis(4300));
+    stand.device.faults().now().delay = Some(Duration::from_millis(4300));
     let begun = Instant::now();
     let missing = camera.grab(KEY);
     assert!(
@@ -245,7 +242,7 @@ fn control_that_was_lost_is_taken_again() {
     let mut camera = stand.open();
     camera.configure(settings(0.01, 1.0)).unwrap();
     camera.grab(KEY).unwrap();
-    stand.device.faults().forget_controller();
+    stand.device.faults().now().forgets_controller = true;
     let lost = camera.grab(KEY);
     assert!(
         matches!(lost, Err(DeviceError::Disconnected { .. })),

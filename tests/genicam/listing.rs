@@ -27,7 +27,7 @@ fn cameras_are_listed_and_opened_as_they_are_called() {
         assert_eq!(opened.info().serial, "GV-LISTED");
         drop(opened);
     }
-    stand.device.faults().hold(true);
+    stand.device.faults().now().is_held = true;
     let problem = find().problem;
     assert!(
         matches!(problem, Some(DeviceError::Controlled { .. })),

@@ -42,9 +42,6 @@ impl BeneathError {
 
 /// Opens the regular file `relative` below `root`, which may itself be reached by links.
 /// Never waits.
-///
-/// # Errors
-/// See [`BeneathError`].
 pub fn open(root: &Path, relative: &str) -> Result<File, BeneathError> {
     let names = names(relative)?;
     let (last, folders) = names.split_last().ok_or_else(|| BeneathError::Path {
@@ -79,9 +76,6 @@ pub fn read(root: &Path, relative: &str, most_bytes: u64) -> Result<Vec<u8>, Ben
 }
 
 /// Whether `relative` below `root` is a folder that no link leads to.
-///
-/// # Errors
-/// See [`BeneathError`].
 pub fn check_folder(root: &Path, relative: &str) -> Result<(), BeneathError> {
     walk(root, &names(relative)?).map(drop)
 }

@@ -98,17 +98,18 @@ impl Devices {
 
 fn fail(camera: &CameraFaults, words: &[&str]) -> io::Result<()> {
     let number = |text: &str| text.parse().map_err(|_| io::ErrorKind::InvalidInput);
+    let mut faults = camera.now();
     match words {
-        ["stall"] => camera.stall_exposure(true),
-        ["ignore"] => camera.ignore_exposure(true),
+        ["stall"] => faults.stalls_exposure = true,
+        ["ignore"] => faults.ignores_exposure = true,
         ["obey"] => {
-            camera.stall_exposure(false);
-            camera.ignore_exposure(false);
+            faults.stalls_exposure = false;
+            faults.ignores_exposure = false;
         }
-        ["silent"] => camera.silence(true),
-        ["send"] => camera.silence(false),
-        ["damage", frames] => camera.damage(number(frames)?),
-        ["cut", frames] => camera.cut(number(frames)?),
+        ["silent"] => faults.silent = true,
+        ["send"] => faults.silent = false,
+        ["damage", frames] => faults.damaged = number(frames)?,
+        ["cut", frames] => faults.cut = number(frames)?,
         _ => return Err(io::ErrorKind::InvalidInput.into()),
     }
     Ok(())

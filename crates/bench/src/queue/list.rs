@@ -189,64 +189,29 @@ light = [{ azimuth_deg = 40, elevation_deg = 35.5 }]
 
     #[test]
     fn what_is_wrong_is_named_with_its_line_and_what_is_allowed() {
-        for (text, facts) in [
-            ("", &["`sample` is missing", "at least one table"][..]),
-            ("sample = []", &["`sample` is []", "at least one table"]),
-            ("[[sample]]", &[":1: `sample[0].name` is missing"]),
-            (
-                "[[sample]]\nname = \"a b\"",
-                &[":2: `sample[0].name` is \"a b\"", "1 to 64 letters"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\n[[sample]]\nname = \"a\"",
-                &[
-                    ":4: `sample[1].name` is \"a\"",
-                    "another name than that of sample[0]",
-                ],
-            ),
-            (
-                "[[sample]]\nname = \"old\"",
-                &[
-                    ":2: `sample[0].name` is \"old\"",
-                    "20261121T023400Z_old_0f3a",
-                ],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nrepeat = 2",
-                &[":3: unknown key `sample[0].repeat`", "repeats"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nrepeats = 0",
-                &["`sample[0].repeats` is 0", "1 to 100"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nlights = \"best:99\"",
-                &["best:99", "N from 1 to 60"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nlights = 0",
-                &["`sample[0].lights` is 0", "1 to 100000"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nlights = 2\nlight = [{ azimuth_deg = 0, elevation_deg = 1 }]",
-                &["sample[0].light`", "left out next to `lights`"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\nlight = [{ azimuth_deg = 0 }]",
-                &["`sample[0].light[0].elevation_deg` is missing"],
-            ),
-            (
-                "[[sample]]\nname = \"a\"\ncomment = \"a\\nb\"",
-                &["on one line"],
-            ),
-            (
-                "lights = 4\n[[sample]]\nname = \"a\"",
-                &["unknown key `lights`"],
-            ),
-            ("[[sample]\nname", &["not valid TOML"]),
-        ] {
+        // `; ` ends a line of the file.
+        const CASES: &str = r#"
+| `sample` is missing | at least one table
+sample = [] | `sample` is [] | at least one table
+[[sample]] | :1: `sample[0].name` is missing
+[[sample]]; name = "a b" | :2: `sample[0].name` is "a b" | 1 to 64 letters
+[[sample]]; name = "a"; [[sample]]; name = "a" | :4: `sample[1].name` is "a" | another name than that of sample[0]
+[[sample]]; name = "old" | :2: `sample[0].name` is "old" | 20261121T023400Z_old_0f3a
+[[sample]]; name = "a"; repeat = 2 | :3: unknown key `sample[0].repeat` | repeats
+[[sample]]; name = "a"; repeats = 0 | `sample[0].repeats` is 0 | 1 to 100
+[[sample]]; name = "a"; lights = "best:99" | best:99 | N from 1 to 60
+[[sample]]; name = "a"; lights = 0 | `sample[0].lights` is 0 | 1 to 100000
+[[sample]]; name = "a"; lights = 2; light = [{ azimuth_deg = 0, elevation_deg = 1 }] | sample[0].light` | left out next to `lights`
+[[sample]]; name = "a"; light = [{ azimuth_deg = 0 }] | `sample[0].light[0].elevation_deg` is missing
+[[sample]]; name = "a"; comment = "a\nb" | on one line
+lights = 4; [[sample]]; name = "a" | unknown key `lights`
+[[sample]; name | not valid TOML
+"#;
+        for case in CASES.trim().lines() {
+            let mut columns = case.split('|').map(str::trim);
+            let text = &columns.next().unwrap().replace("; ", "\n");
             let shown = read(text).unwrap_err();
-            for fact in facts {
+            for fact in columns {
                 assert!(shown.contains(fact), "{text}: {shown}");
             }
             assert!(!shown.contains('\n'), "{shown}");

@@ -133,9 +133,6 @@ pub fn check_bytes(archive: &[u8]) -> Result<Verification, String> {
 
 /// Writes an archive's session to the new folder `out`, which appears whole, or not at all. The
 /// archive is checked before anything is written, and the session before it gets its name.
-///
-/// # Errors
-/// See [`ArchiveError`].
 pub fn unpack(archive: &Path, out: &Path) -> Result<Verification, ArchiveError> {
     let io_error = |source| ArchiveError::Io {
         path: out.to_owned(),

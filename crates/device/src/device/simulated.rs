@@ -420,17 +420,16 @@ pub(crate) mod tests {
 
     #[test]
     fn camera_faults_are_device_errors() {
-        use mock_devices::camera::CameraFault;
         let bench = simulated(Clock::instant(), stage_config());
         let mut camera = bench.open_camera(Arc::new(Flat));
         assert!(camera.set_shutter(false).unwrap());
-        camera.faults().inject(CameraFault::Stall(1));
+        camera.faults().now().stalled = 1;
         assert!(matches!(
             camera.grab(key(FrameKind::Dark)),
             Err(DeviceError::NoReply { .. })
         ));
         assert!(camera.grab(key(FrameKind::Dark)).is_ok());
-        camera.faults().inject(CameraFault::Disconnect);
+        camera.faults().now().is_disconnected = true;
         assert!(matches!(
             camera.grab(key(FrameKind::Dark)),
             Err(DeviceError::Disconnected { .. })

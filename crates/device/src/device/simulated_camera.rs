@@ -161,7 +161,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn temperature_c(&mut self) -> Option<f64> {
-        let is_there = !self.camera.faults().is_disconnected();
+        let is_there = !self.camera.faults().now().is_disconnected;
         is_there.then(|| self.camera.temperature_c())
     }
 

@@ -118,18 +118,12 @@ const ROUNDING: f64 = 1.3;
 
 /// The frames that `paths` (files, or folders of frames) name, with their exposures from
 /// `table`, a CSV file, where there is one.
-///
-/// # Errors
-/// See [`BracketError`].
 pub fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketError> {
     find_frames(paths, table, false)
 }
 
 /// As [`find`], of frames that are each an image by itself: where neither a table nor any of
 /// them states an exposure, it is 1 s for all, because they are compared with none.
-///
-/// # Errors
-/// See [`BracketError`].
 pub fn find_single(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketError> {
     find_frames(paths, table, true)
 }

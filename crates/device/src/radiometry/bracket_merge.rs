@@ -121,9 +121,6 @@ pub enum BracketMergeError {
 
 /// Merges a bracket and writes its radiance image; the steps of its progress are frames, then
 /// rows of pixels.
-///
-/// # Errors
-/// See [`BracketMergeError`].
 pub fn merge(request: &MergeRequest, progress: &dyn Progress) -> Result<Merged, BracketMergeError> {
     progress.begin("reading frames", Some(request.files.len()));
     let Gathered {

@@ -140,7 +140,7 @@ impl SensorNoise {
 
     /// Checks every value, and the maps against frames of `pixels` pixels.
     pub fn check(&self, pixels: usize) -> Result<(), SensorError> {
-        let range = |name, value: f64, low: f64, high: f64, open: bool| {
+        let check = |name, value: f64, low: f64, high: f64, open: bool| {
             let inside =
                 value.is_finite() && value <= high && value >= low && !(open && value == low);
             if inside {
@@ -153,61 +153,25 @@ impl SensorNoise {
                 allowed: format!("{bracket}{low}, {high}]"),
             })
         };
+        let from = |name, value, low, high| check(name, value, low, high, false);
+        let above = |name, value, low, high| check(name, value, low, high, true);
         // Numbers.
-        range("bit_depth", f64::from(self.bit_depth), 1.0, 16.0, false)?;
-        let full_scale_dn = (1u64 << self.bit_depth) as f64 - 1.0;
-        range("gain_dn_per_e", self.gain_dn_per_e, 0.0, 1e9, true)?;
-        range("read_noise_e", self.read_noise_e, 0.0, 1e9, false)?;
-        range(
-            "saturation_dn",
-            self.saturation_dn,
-            0.0,
-            full_scale_dn,
-            true,
-        )?;
-        range(
-            "linear_max_dn",
-            self.linear_max_dn,
-            0.0,
-            self.saturation_dn,
-            true,
-        )?;
-        range(
-            "black_level_dn",
-            self.black_level_dn,
-            -full_scale_dn,
-            self.linear_max_dn,
-            false,
-        )?;
-        range(
-            "black_level_std_dn",
-            self.black_level_std_dn,
-            0.0,
-            full_scale_dn,
-            false,
-        )?;
-        range(
-            "black_level_spread_dn",
-            self.black_level_spread_dn,
-            0.0,
-            full_scale_dn,
-            false,
-        )?;
-        range("dark_current_e_s", self.dark_current_e_s, 0.0, 1e12, false)?;
-        range(
-            "dark_current_spread_e_s",
-            self.dark_current_spread_e_s,
-            0.0,
-            1e12,
-            false,
-        )?;
-        range(
-            "responsivity_e_s",
-            self.responsivity_e_s,
-            0.0,
-            f64::MAX,
-            true,
-        )?;
+        from("bit_depth", f64::from(self.bit_depth), 1.0, 16.0)?;
+        let (own, full) = (self, (1u64 << self.bit_depth) as f64 - 1.0);
+        above("gain_dn_per_e", own.gain_dn_per_e, 0.0, 1e9)?;
+        from("read_noise_e", own.read_noise_e, 0.0, 1e9)?;
+        above("saturation_dn", own.saturation_dn, 0.0, full)?;
+        let (saturation, most) = (own.saturation_dn, own.linear_max_dn);
+        above("linear_max_dn", most, 0.0, saturation)?;
+        from("black_level_dn", own.black_level_dn, -full, most)?;
+        from("black_level_std_dn", own.black_level_std_dn, 0.0, full)?;
+        let spread = own.black_level_spread_dn;
+        from("black_level_spread_dn", spread, 0.0, full)?;
+        from("dark_current_e_s", own.dark_current_e_s, 0.0, 1e12)?;
+        let spread = own.dark_current_spread_e_s;
+        from("dark_current_spread_e_s", spread, 0.0, 1e12)?;
+        let responsivity = own.responsivity_e_s;
+        above("responsivity_e_s", responsivity, 0.0, f64::MAX)?;
         let range_dn = self.ceiling_dn() - self.black_level_dn;
         if !(self.linearity.grows_up_to(range_dn) && self.linearity.has_covariance()) {
             return Err(SensorError::OutOfRange {
@@ -224,23 +188,17 @@ impl SensorNoise {
             map_size("offset map", dark.offset_dn.len(), pixels)?;
             map_size("dark-current map", dark.dark_current_e_s.len(), pixels)?;
             for &value in dark.offset_dn.iter().chain(&dark.dark_current_e_s) {
-                range("dark pattern", f64::from(value), -1e12, 1e12, false)?;
+                from("dark pattern", f64::from(value), -1e12, 1e12)?;
             }
         }
         if let Some(flat) = &self.flat_field {
             map_size("flat field", flat.response.len(), pixels)?;
             map_size("flat field's uncertainty", flat.std_dev.len(), pixels)?;
             for &value in &flat.response {
-                range("flat field", f64::from(value), 0.0, 1e6, true)?;
+                above("flat field", f64::from(value), 0.0, 1e6)?;
             }
             for &value in &flat.std_dev {
-                range(
-                    "flat field's uncertainty",
-                    f64::from(value),
-                    0.0,
-                    1e6,
-                    false,
-                )?;
+                from("flat field's uncertainty", value.into(), 0.0, 1e6)?;
             }
         }
         Ok(())

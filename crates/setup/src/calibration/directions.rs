@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::mirror_sphere::light::FoundLight;
-use super::record::{self, BadValue, Kind, LightsValues, Measured, Values};
+use super::record::{BadValue, Kind, LightsValues, Measured, Values, must, within};
 use super::stage_directions::{StageFit, offset};
 use crate::bench_priors::BenchPriors;
 use crate::config::geometry::GeometryConfig;
@@ -64,42 +64,25 @@ impl Values for DirectionsValues {
     const KIND: Kind = Kind::Directions;
 
     fn check(&self) -> Result<(), BadValue> {
-        let bad = |key: &str, value: String, allowed: &str| {
-            Err(record::bad(key, value, allowed.to_owned()))
-        };
-        for (key, value) in [
-            ("light_std_deg", self.light_std_deg),
-            ("common_std_deg", self.common_std_deg),
-        ] {
-            if !(0.0..=10.0).contains(&value) {
-                return bad(key, value.to_string(), "from 0 to 10");
-            }
-        }
-        if let Some(distance) = self.distance_mm
-            && !(distance.value > 0.0 && distance.std >= 0.0 && distance.value.is_finite())
-        {
+        within("light_std_deg", self.light_std_deg, 0.0, 10.0)?;
+        within("common_std_deg", self.common_std_deg, 0.0, 10.0)?;
+        if let Some(Measured { value, std }) = self.distance_mm {
+            let possible = value > 0.0 && std >= 0.0 && value.is_finite();
             let allowed = "above 0, with an uncertainty of at least 0";
-            return bad("distance_mm", distance.value.to_string(), allowed);
+            must(possible, "distance_mm", value, allowed)?;
         }
         if let Some(stage) = &self.stage {
             let turned = DVec3::from_array(stage.rotation_deg).length();
-            if !(turned <= 360.0 && stage.elevation_offset_deg.abs() <= 90.0) {
-                let allowed = "a turn of at most 360 and an offset of at most 90";
-                return bad("stage.rotation_deg", turned.to_string(), allowed);
-            }
+            let possible = turned <= 360.0 && stage.elevation_offset_deg.abs() <= 90.0;
+            let allowed = "a turn of at most 360 and an offset of at most 90";
+            must(possible, "stage.rotation_deg", turned, allowed)?;
         }
-        if self.lights.is_empty() {
-            return bad("lights", "empty".to_owned(), "at least one");
-        }
+        must(!self.lights.is_empty(), "lights", "empty", "at least one")?;
         for light in &self.lights {
             let length = DVec3::from_array(light.to_light).length();
-            if !(0.999_999..=1.000_001).contains(&length) {
-                return bad(
-                    "lights.to_light",
-                    format!("of length {length}"),
-                    "of length 1",
-                );
-            }
+            let is_unit = (0.999_999..=1.000_001).contains(&length);
+            let value = format!("of length {length}");
+            must(is_unit, "lights.to_light", value, "of length 1")?;
         }
         Ok(())
     }

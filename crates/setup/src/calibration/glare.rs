@@ -10,7 +10,7 @@ use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::mirror_sphere::Grey;
-use super::record::{BadValue, Kind, Measured, Values, bad};
+use super::record::{BadValue, Kind, Measured, Values, within};
 use super::white::Region;
 use crate::cells::glare::{BlockSums, Glare};
 use crate::radiance_image::RadianceImage;
@@ -44,15 +44,9 @@ impl Values for GlareValues {
         self.uniform.check("uniform", 0.0, 0.1)?;
         self.halo.check("halo", 0.0, 0.1)?;
         self.trap_reflectance.check("trap_reflectance", 0.0, 0.1)?;
-        for (key, value, low, high) in [
-            ("correlation", self.correlation, -1.0, 1.0),
-            ("halo_width", self.halo_width, 0.005, 1.0),
-            ("residual", self.residual, 0.0, 1.0),
-        ] {
-            if !(low..=high).contains(&value) {
-                return Err(bad(key, value, format!("a number from {low} to {high}")));
-            }
-        }
+        within("correlation", self.correlation, -1.0, 1.0)?;
+        within("halo_width", self.halo_width, 0.005, 1.0)?;
+        within("residual", self.residual, 0.0, 1.0)?;
         Ok(())
     }
 }

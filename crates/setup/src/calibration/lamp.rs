@@ -83,9 +83,6 @@ const JUMP_SIGMA: f64 = 6.0;
 impl LampFit {
     /// Fits `warm (1 + drift t − missing exp(−t/constant))` to levels in order of
     /// time, and takes flicker from bursts.
-    ///
-    /// # Errors
-    /// See [`LampFitError`].
     pub fn new(levels: &[LampLevel], bursts: &[Burst]) -> Result<Self, LampFitError> {
         if levels.len() < MIN_LEVELS {
             let found = levels.len();

@@ -70,9 +70,6 @@ pub enum FrameNoiseError {
 }
 
 /// The noise model of frames of this size that the camera of a rig took.
-///
-/// # Errors
-/// See [`FrameNoiseError`].
 pub fn noise_of_frames(
     rig: &ResolvedRig,
     frames: [u32; 2],

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::record::{BadValue, MapFile, bad};
+use super::record::{BadValue, MapFile, must};
 use crate::checksum::sha256_hex;
 use crate::radiometry::frame_file::picture;
 
@@ -74,15 +74,11 @@ impl PixelMap {
     }
 
     pub(super) fn check(&self, key: &str) -> Result<(), BadValue> {
-        if !self.lowest.is_finite() {
-            let allowed = "a finite number".to_owned();
-            return Err(bad(&format!("{key}.lowest"), self.lowest, allowed));
-        }
-        if !(self.per_count > 0.0 && self.per_count.is_finite()) {
-            let allowed = "a number above 0".to_owned();
-            return Err(bad(&format!("{key}.per_count"), self.per_count, allowed));
-        }
-        Ok(())
+        let (lowest, step) = (self.lowest, self.per_count);
+        let [first, second] = ["lowest", "per_count"].map(|name| format!("{key}.{name}"));
+        must(lowest.is_finite(), &first, lowest, "a finite number")?;
+        let possible = step > 0.0 && step.is_finite();
+        must(possible, &second, step, "a number above 0")
     }
 }
 

@@ -2,6 +2,8 @@
 
 mod values;
 
+use std::fmt::{self, Display, Formatter};
+
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -148,22 +150,25 @@ pub struct BadValue {
 
 impl Measured {
     pub(super) fn check(self, key: &str, low: f64, high: f64) -> Result<(), BadValue> {
-        let bad = |key: String, value: f64, allowed: String| {
-            Err(BadValue {
-                key,
-                value: value.to_string(),
-                allowed,
-            })
+        within(&format!("{key}.value"), self.value, low, high)?;
+        let known = self.std >= 0.0 && self.std.is_finite();
+        must(
+            known,
+            &format!("{key}.std"),
+            self.std,
+            "a number of at least 0",
+        )
+    }
+}
+
+/// Value and uncertainty, with as many digits as the uncertainty has two of.
+impl Display for Measured {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
+        let digits = match self.std > 0.0 && self.std.is_finite() {
+            true => (1.0 - self.std.log10().floor()).clamp(0.0, 9.0) as usize,
+            false => 3,
         };
-        if !(low..=high).contains(&self.value) {
-            let allowed = format!("a number from {low} to {high}");
-            return bad(format!("values.{key}.value"), self.value, allowed);
-        }
-        if !(self.std >= 0.0 && self.std.is_finite()) {
-            let allowed = "a number of at least 0".to_owned();
-            return bad(format!("values.{key}.std"), self.std, allowed);
-        }
-        Ok(())
+        write!(out, "{:.digits$} ± {:.digits$}", self.value, self.std)
     }
 }
 
@@ -189,11 +194,25 @@ pub struct MapFile {
     pub sha256: String,
 }
 
-/// A bad value of the table `[values]`.
-pub(super) fn bad(key: &str, value: impl ToString, allowed: String) -> BadValue {
-    BadValue {
-        key: format!("values.{key}"),
-        value: value.to_string(),
-        allowed,
+/// Whether a value of the table `[values]` is as it must be.
+pub(super) fn must(
+    holds: bool,
+    key: &str,
+    value: impl Display,
+    allowed: impl Into<String>,
+) -> Result<(), BadValue> {
+    match holds {
+        true => Ok(()),
+        false => Err(BadValue {
+            key: format!("values.{key}"),
+            value: value.to_string(),
+            allowed: allowed.into(),
+        }),
     }
+}
+
+/// Whether a number of the table `[values]` is in its range.
+pub(super) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), BadValue> {
+    let allowed = format!("a number from {low} to {high}");
+    must((low..=high).contains(&value), key, value, allowed)
 }

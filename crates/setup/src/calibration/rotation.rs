@@ -98,9 +98,6 @@ impl RotationTest {
 
 /// Compares turns of `scene`'s sample. `repeatability` is the relative standard deviation of
 /// a region's radiance when the sample is seated again.
-///
-/// # Errors
-/// See [`RotationError`].
 pub fn compare(
     scene: &Scene,
     turns: &[Turn],

@@ -162,21 +162,12 @@ fn without(kind: Kind) -> &'static str {
     }
 }
 
-/// Value and uncertainty, with as many digits as the uncertainty has two of.
-fn pair(m: Measured) -> String {
-    let digits = match m.std > 0.0 {
-        true => (1.0 - m.std.log10().floor()).clamp(0.0, 9.0) as usize,
-        false => 3,
-    };
-    format!("{:.digits$} ± {:.digits$}", m.value, m.std)
-}
-
 fn of_sensor(v: &SensorValues) -> String {
     format!(
         "gain {} DN/e⁻, read noise {} e⁻, full well {} e⁻, linear within {:.2}%, {} hot pixels",
-        pair(v.gain_dn_per_e),
-        pair(v.read_noise_e),
-        pair(v.full_well_e),
+        v.gain_dn_per_e,
+        v.read_noise_e,
+        v.full_well_e,
         100.0 * v.linearity_error,
         v.hot_pixels.len()
     )
@@ -195,13 +186,13 @@ fn of_scale(v: &ScaleValues) -> String {
 }
 
 fn of_lights(v: &LightsValues) -> String {
-    let [red, green, blue] = v.irradiance_w_m2.map(pair);
+    let [red, green, blue] = v.irradiance_w_m2;
     format!("{red}, {green}, {blue} W/m²")
 }
 
 fn of_directions(v: &DirectionsValues) -> String {
     let distance = match v.distance_mm {
-        Some(distance) => format!(", {} mm away", pair(distance)),
+        Some(distance) => format!(", {} mm away", distance),
         None => String::new(),
     };
     format!(
@@ -216,10 +207,7 @@ fn of_lamp(v: &LampValues) -> String {
     format!(
         "warm after {:.0} s, drift {} % per hour, steady from {}",
         v.warm_up_time_s,
-        pair(Measured::new(
-            100.0 * v.drift_per_hour.value,
-            100.0 * v.drift_per_hour.std
-        )),
+        Measured::new(100.0 * v.drift_per_hour.value, 100.0 * v.drift_per_hour.std),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
     )
@@ -227,10 +215,10 @@ fn of_lamp(v: &LampValues) -> String {
 
 fn of_focus(v: &FocusValues) -> String {
     let lens = v.lens.map_or(String::new(), |lens| {
-        let (focus, aperture) = (pair(lens.focus_mm), pair(lens.object_na));
+        let (focus, aperture) = (lens.focus_mm, lens.object_na);
         format!(", sharp at {focus} mm, aperture {aperture}")
     });
-    format!("point spread {} px{lens}", pair(v.point_spread_px))
+    format!("point spread {} px{lens}", v.point_spread_px)
 }
 
 fn of_camera(v: &CameraValues) -> String {
@@ -239,7 +227,7 @@ fn of_camera(v: &CameraValues) -> String {
         LensModel::Orthographic => "pixels per mm",
     };
     let number = |value: f64, names: [&str; 2]| match names.iter().find_map(|n| v.std(n)) {
-        Some(std) => pair(Measured { value, std }),
+        Some(std) => Measured { value, std }.to_string(),
         None => format!("{value:.3}"),
     };
     format!(
@@ -261,7 +249,7 @@ fn of_pose(v: &PoseValues) -> String {
     let three = |values: [f64; 3], from: usize| {
         let pairs = (0..3).map(|i| {
             let std = std[from + i];
-            pair(Measured::new(values[i], std))
+            Measured::new(values[i], std).to_string()
         });
         pairs.collect::<Vec<_>>().join(", ")
     };
@@ -274,7 +262,7 @@ fn of_pose(v: &PoseValues) -> String {
 }
 
 fn of_glare(v: &GlareValues) -> String {
-    let percent = |m: Measured| pair(Measured::new(100.0 * m.value, 100.0 * m.std));
+    let percent = |m: Measured| Measured::new(100.0 * m.value, 100.0 * m.std);
     format!(
         "{} % of the light evenly, {} % in a halo of {:.0}% of the diagonal",
         percent(v.uniform),

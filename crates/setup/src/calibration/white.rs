@@ -95,9 +95,6 @@ const MOST_UNEVEN: f64 = 0.05;
 /// Irradiance across the light at the standard, R, G and B, in the image's unit
 /// times steradian: `E = π L / (reflectance cos θ)`. The uncertainty is of
 /// certificate, angle, noise, and evenness (the spread of the quarters' means).
-///
-/// # Errors
-/// See [`WhiteError`].
 pub fn irradiance(
     image: &RadianceImage,
     region: Region,

@@ -212,31 +212,18 @@ mod tests {
 
     #[test]
     fn bad_labs_are_refused_with_the_place() {
-        for (table, said) in [
-            (
-                "organisation = \"\"",
-                "`lab.organisation` is \"\", but must be a text of 1 to 200",
-            ),
-            ("operator = \"a\\nb\"", "`lab.operator`"),
-            (
-                "email = \"nobody\"",
-                "`lab.email` is \"nobody\", but must be an address",
-            ),
-            ("website = \"ftp://x\"", "`lab.website`"),
-            (
-                "band_g_nm = [550, 510]",
-                "`lab.band_g_nm` is [550, 510], but must be two wavelengths",
-            ),
-            (
-                "lamp_power_w = 0",
-                "`lab.lamp_power_w` is 0, but must be a number from 0.001",
-            ),
-            (
-                "room_humidity_percent = 101",
-                "`lab.room_humidity_percent` is 101, but must be a number from 0 to 100",
-            ),
-            ("organization = \"x\"", "organization"),
-        ] {
+        const CASES: &str = r#"
+organisation = "" | `lab.organisation` is "", but must be a text of 1 to 200
+operator = "a\nb" | `lab.operator`
+email = "nobody" | `lab.email` is "nobody", but must be an address
+website = "ftp://x" | `lab.website`
+band_g_nm = [550, 510] | `lab.band_g_nm` is [550, 510], but must be two wavelengths
+lamp_power_w = 0 | `lab.lamp_power_w` is 0, but must be a number from 0.001
+room_humidity_percent = 101 | `lab.room_humidity_percent` is 101, but must be a number from 0 to 100
+organization = "x" | organization
+"#;
+        for case in CASES.trim().lines() {
+            let (table, said) = case.split_once(" | ").unwrap();
             let error = with(table).unwrap_err().to_string();
             assert!(error.contains(said), "{table}: {error}");
         }

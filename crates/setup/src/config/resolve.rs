@@ -6,61 +6,35 @@ use std::path::{Path, PathBuf};
 use super::{ConfigError, RigConfig};
 use crate::outside_file::ends_in;
 
+/// Rig files of the folder `rig-configs`, by name.
+macro_rules! shipped {
+    ($($name:literal),* $(,)?) => {
+        &[$((
+            $name,
+            include_str!(concat!("../../../../rig-configs/", $name, ".toml")),
+        )),*]
+    };
+}
+
 /// The rig files that are built into the program, by name.
-pub const BUILT_IN: &[(&str, &str)] = &[
-    (
-        "simulated",
-        include_str!("../../../../rig-configs/simulated.toml"),
-    ),
-    (
-        "grbl-arm-v4l2",
-        include_str!("../../../../rig-configs/grbl-arm-v4l2.toml"),
-    ),
-    (
-        "dmx-dome-v4l2",
-        include_str!("../../../../rig-configs/dmx-dome-v4l2.toml"),
-    ),
-    (
-        "zaber-gantry-v4l2",
-        include_str!("../../../../rig-configs/zaber-gantry-v4l2.toml"),
-    ),
-    (
-        "simulated-5mp-bayer",
-        include_str!("../../../../rig-configs/simulated-5mp-bayer.toml"),
-    ),
-    (
-        "simulated-tilted",
-        include_str!("../../../../rig-configs/simulated-tilted.toml"),
-    ),
-    (
-        "simulated-ball",
-        include_str!("../../../../rig-configs/simulated-ball.toml"),
-    ),
-    (
-        "grbl-arm-tilted",
-        include_str!("../../../../rig-configs/grbl-arm-tilted.toml"),
-    ),
+pub const BUILT_IN: &[(&str, &str)] = shipped![
+    "simulated",
+    "grbl-arm-v4l2",
+    "dmx-dome-v4l2",
+    "zaber-gantry-v4l2",
+    "simulated-5mp-bayer",
+    "simulated-tilted",
+    "simulated-ball",
+    "grbl-arm-tilted",
 ];
 
 /// Simulated benches on which calibrations and the bench of a torch are rehearsed, built into the
 /// program as well (docs/calibration.md, docs/tutorial-torch.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
-const REHEARSALS: &[(&str, &str)] = &[
-    (
-        "rehearsal-flat",
-        include_str!("../../../../rig-configs/rehearsal-flat.toml"),
-    ),
-    (
-        "rehearsal-ball",
-        include_str!("../../../../rig-configs/rehearsal-ball.toml"),
-    ),
-    (
-        "rehearsal-tile",
-        include_str!("../../../../rig-configs/rehearsal-tile.toml"),
-    ),
-    (
-        "rehearsal-torch",
-        include_str!("../../../../rig-configs/rehearsal-torch.toml"),
-    ),
+const REHEARSALS: &[(&str, &str)] = shipped![
+    "rehearsal-flat",
+    "rehearsal-ball",
+    "rehearsal-tile",
+    "rehearsal-torch",
 ];
 
 /// The folder that is searched for rigs by name.

@@ -5,7 +5,7 @@
 //! for longer than the heartbeat time-out. Nothing of it needs root.
 
 mod exposing;
-mod faults;
+pub mod faults;
 pub mod gvcp;
 pub mod gvsp;
 pub mod memory;
@@ -173,10 +173,10 @@ impl Shared {
 
     /// Heartbeat, and the device being unplugged and back as new.
     fn look_after(&self, state: &mut State) {
-        let is_gone = self.faults.is_gone();
+        let is_gone = self.faults.now().is_gone;
         let silent = state.heard.elapsed().as_millis();
         let is_late = silent > u128::from(state.memory.get(memory::HEARTBEAT));
-        let is_forgotten = self.faults.forgets_controller();
+        let is_forgotten = std::mem::take(&mut self.faults.now().forgets_controller);
         if is_gone || is_forgotten || (state.controller.is_some() && is_late) {
             state.controller = None;
             state.memory.put(memory::CONTROL, 0);
@@ -238,7 +238,8 @@ impl Shared {
     fn measure(&self, state: &mut State) {
         let temperature_c = self.exposer.temperature_c();
         state.memory.put_float(memory::TEMPERATURE, temperature_c);
-        let privilege = match (self.faults.is_held(), state.controller) {
+        let is_held = self.faults.now().is_held;
+        let privilege = match (is_held, state.controller) {
             (false, None) => 0,
             _ => CONTROL_WITH_READERS,
         };
@@ -259,13 +260,13 @@ impl Shared {
             .is_some_and(|controller| controller != from);
         let is_free = state.controller.is_none();
         let takes_control = at == memory::CONTROL;
-        if is_other || self.faults.is_held() || (is_free && !takes_control) {
+        if is_other || self.faults.now().is_held || (is_free && !takes_control) {
             return Err(Status::AccessDenied);
         }
-        if at == memory::EXPOSURE && self.faults.ignores_exposure() {
+        if at == memory::EXPOSURE && self.faults.now().ignores_exposure {
             return Ok(());
         }
-        if at == memory::EXPOSURE && self.faults.locks_settings() && state.streaming.runs() {
+        if at == memory::EXPOSURE && self.faults.now().locks_settings && state.streaming.runs() {
             return Err(Status::WriteProtect);
         }
         if at == memory::EXPOSURE && state.memory.get(memory::EXPOSURE_AUTO) != 0 {

@@ -9,6 +9,7 @@ use super::exposing::Settings;
 use super::gvsp::Image;
 use super::memory::{self, Memory};
 use super::{Shared, State, TICK, pixels};
+use mock_devices::failing::due;
 
 /// So many frames can be sent once more.
 const KEPT: usize = 4;
@@ -87,7 +88,7 @@ impl Shared {
                 let waited = self.changed.wait_timeout(state, TICK);
                 state = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
             };
-            let exposure_us = self.faults.stuck_exposure_us();
+            let exposure_us = self.faults.now().stuck_exposure_us;
             let settings = Settings {
                 exposure_s: exposure_us.unwrap_or(state.memory.float(memory::EXPOSURE)) * 1e-6,
                 gain: 10_f64.powf(state.memory.float(memory::GAIN) / 20.0),
@@ -100,7 +101,7 @@ impl Shared {
             // The frame, and what happens to it.
             let (timestamp, counts) = self.exposer.expose(settings);
             let Some(format) = format else { continue };
-            let format = match self.faults.changes_format() {
+            let format = match due(&mut self.faults.now().other_format) {
                 true => pixels::FORMATS[0],
                 false => format,
             };
@@ -111,22 +112,23 @@ impl Shared {
                 size_px,
                 bytes: format.encode(&counts, self.exposer.bit_depth()),
             };
-            if self.faults.halves_frame() {
+            if due(&mut self.faults.now().halved) {
                 image.size_px[1] /= 2;
                 let pixels = image.size_px[0] as usize * image.size_px[1] as usize;
                 image.bytes.truncate(format.bytes(pixels));
             }
             if let Some(before) = &before
-                && self.faults.repeats_frame()
+                && due(&mut self.faults.now().late)
             {
                 image = before.clone();
             }
             // To the controller, if there still is one.
             let mut state = self.lock();
             let is_wanted = state.streaming.runs && state.streaming.acquisitions == acquisition;
-            if is_wanted && !self.faults.is_gone() {
+            if is_wanted && !self.faults.now().is_gone {
                 image.block = state.streaming.next_block();
-                if let Some(delay) = self.faults.delays_frame() {
+                let delay = self.faults.now().delay.take();
+                if let Some(delay) = delay {
                     drop(state);
                     std::thread::sleep(delay);
                     state = self.lock();
@@ -145,7 +147,7 @@ impl Shared {
         let Some(to) = destination(&state.memory) else {
             return;
         };
-        if self.faults.swallows_frame() {
+        if due(&mut self.faults.now().silent) {
             return;
         }
         let packet_bytes = state.memory.get(memory::PACKET_SIZE) & 0xffff;
@@ -160,7 +162,7 @@ impl Shared {
     fn send_all(&self, socket: &UdpSocket, to: SocketAddr, packets: &[Vec<u8>]) {
         let mut sent = 0;
         for packet in packets {
-            if !self.faults.loses_packet() {
+            if !self.faults.now().loses_packet() {
                 // As on a network, a packet may be lost.
                 let _ = socket.send_to(packet, to);
             }

@@ -6,6 +6,7 @@ use super::dataset::{Dataset, Property, Width};
 use super::dng::RawFile;
 use super::faults::BodyFaults;
 use mock_devices::camera::SimulatedCamera;
+use mock_devices::failing::due;
 use mock_devices::sensor::FrameKey;
 
 /// Code of the exposure time, in units of 0.1 ms.
@@ -206,7 +207,7 @@ impl Body {
                 self.has_session = false;
                 return Reply::of(OK);
             }
-            0x100e | SET_VALUE if self.faults.take(|pending| &mut pending.busy) => {
+            0x100e | SET_VALUE if due(&mut self.faults.now().busy) => {
                 return Reply::of(DEVICE_BUSY);
             }
             _ => {}
@@ -256,10 +257,10 @@ impl Body {
     /// Sets a property and returns the response.
     fn set(&mut self, code: u32, data: &[u8]) -> u16 {
         let is_speed = code == u32::from(EXPOSURE_TIME);
-        if is_speed && self.faults.take(|pending| &mut pending.refuse_speed) {
+        if is_speed && due(&mut self.faults.now().refused_speeds) {
             return INVALID_VALUE;
         }
-        let keeps = is_speed && self.faults.take(|pending| &mut pending.keep_speed);
+        let keeps = is_speed && due(&mut self.faults.now().kept_speeds);
         let Some(property) = self.property(code) else {
             return PROPERTY_NOT_SUPPORTED;
         };
@@ -306,7 +307,7 @@ impl Body {
         let [numerator, denominator] = self.speed();
         let iso = self.current(EXPOSURE_INDEX);
         let mut exposure_s = f64::from(numerator) / f64::from(denominator);
-        if self.faults.take(|pending| &mut pending.half_exposure) {
+        if due(&mut self.faults.now().half_exposure) {
             exposure_s /= 2.0;
         }
         let base = self.config.isos.first().copied().unwrap_or(100);
@@ -322,7 +323,7 @@ impl Body {
         let frame = configured.and_then(|_| self.camera.grab(key));
         let frame = frame.map_err(|_| GENERAL_ERROR)?;
         // The file.
-        let stated = match self.faults.take(|pending| &mut pending.wrong_exif) {
+        let stated = match due(&mut self.faults.now().wrong_exif) {
             true => [2 * numerator, denominator],
             false => [numerator, denominator],
         };
@@ -342,10 +343,10 @@ impl Body {
             serial: &self.config.serial,
         }
         .encode();
-        if self.faults.take(|pending| &mut pending.cut_file) {
+        if due(&mut self.faults.now().cut_files) {
             file.truncate(file.len() / 2);
         }
-        if self.faults.take(|pending| &mut pending.no_file) {
+        if due(&mut self.faults.now().no_file) {
             return Ok(vec![(CAPTURE_COMPLETE, Vec::new())]);
         }
         // The store.
@@ -425,7 +426,7 @@ impl Body {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ptp::BodyFault;
+    use crate::ptp::faults::Faults;
     use mock_devices::bench::{Bench, BenchConfig};
     use mock_devices::camera::CameraConfig;
     use mock_devices::clock::Clock;
@@ -516,11 +517,11 @@ mod tests {
     fn faults_come_when_asked_for() {
         let mut body = body();
         let faults = body.faults();
-        faults.inject(BodyFault::Busy(1));
+        faults.now().busy = 1;
         assert_eq!(set_speed(&mut body, 200), DEVICE_BUSY);
-        faults.inject(BodyFault::RefuseSpeed(1));
+        faults.now().refused_speeds = 1;
         assert_eq!(set_speed(&mut body, 200), INVALID_VALUE);
-        faults.inject(BodyFault::KeepSpeed(1));
+        faults.now().kept_speeds = 1;
         assert_eq!(set_speed(&mut body, 200), OK);
         let code = u32::from(EXPOSURE_TIME);
         let read = body.operation(0x1015, &[code], &[]).data;
@@ -528,15 +529,15 @@ mod tests {
         assert_eq!(set_speed(&mut body, 200), OK);
         let handle = take(&mut body);
         let whole = signal(&mut body, handle);
-        faults.inject(BodyFault::HalfExposure(1));
+        faults.now().half_exposure = 1;
         let handle = take(&mut body);
         assert!((signal(&mut body, handle) / whole - 0.5).abs() < 0.05);
-        faults.inject(BodyFault::NoFile(1));
+        faults.now().no_file = 1;
         body.operation(0x100e, &[0, 0], &[]);
         assert_eq!(body.expose().unwrap().len(), 1);
-        faults.inject(BodyFault::StorageFull);
+        faults.now().is_full = true;
         assert_eq!(body.operation(0x100e, &[0, 0], &[]).code, STORE_FULL);
-        faults.clear();
+        *faults.now() = Faults::default();
         assert_eq!(body.operation(0x100e, &[0, 0], &[]).code, OK);
     }
 }

@@ -30,6 +30,18 @@ impl Dataset {
         self
     }
 
+    /// These bytes.
+    pub fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.0.extend(bytes);
+        self
+    }
+
+    /// UTF-16 up to a zero.
+    pub fn name(self, name: &str) -> Self {
+        let units = name.encode_utf16().chain([0]);
+        units.fold(self, Self::u16)
+    }
+
     /// UTF-16 with its length, at most 254 units and a zero.
     pub fn text(mut self, text: &str) -> Self {
         let mut units: Vec<u16> = text.encode_utf16().take(254).collect();

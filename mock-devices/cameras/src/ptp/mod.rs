@@ -12,5 +12,5 @@ pub mod packet;
 pub mod server;
 
 pub use body::{Body, BodyConfig};
-pub use faults::{BodyFault, BodyFaults};
+pub use faults::BodyFaults;
 pub use server::PtpServer;

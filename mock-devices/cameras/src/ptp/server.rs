@@ -9,8 +9,9 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::body::Body;
+use super::dataset::Dataset;
 use super::faults::BodyFaults;
-use super::packet::Packet;
+use super::packet::{Packet, kind};
 use mock_devices::clock::lock;
 
 const VERSION: u32 = 0x1_0000;
@@ -99,7 +100,7 @@ fn listen(listener: &TcpListener, shared: &Arc<Shared>) {
             return;
         }
         let Ok(stream) = stream else { continue };
-        if shared.faults.is_gone() {
+        if shared.faults.now().is_gone {
             continue;
         }
         let shared = Arc::clone(shared);
@@ -111,12 +112,14 @@ fn listen(listener: &TcpListener, shared: &Arc<Shared>) {
 /// The first packet says which of the two connections it is.
 fn serve(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
-    match Packet::read(&mut stream)? {
-        Packet::InitCommandRequest { guid, .. } => {
+    let first = Packet::read(&mut stream)?;
+    match first.kind {
+        kind::INIT_COMMAND_REQUEST => {
+            let guid = first.fields().array()?;
             let until = Instant::now() + HANDOVER;
             while shared.is_serving.swap(true, Ordering::SeqCst) {
                 if Instant::now() > until {
-                    return send(&mut stream, &Packet::InitFail { reason: BUSY });
+                    return send(&mut stream, kind::INIT_FAIL, Dataset::default().u32(BUSY));
                 }
                 std::thread::sleep(Duration::from_millis(5));
             }
@@ -125,12 +128,12 @@ fn serve(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
             shared.is_serving.store(false, Ordering::SeqCst);
             served
         }
-        Packet::InitEventRequest { .. } => {
-            send(&mut stream, &Packet::InitEventAck)?;
+        kind::INIT_EVENT_REQUEST => {
+            send(&mut stream, kind::INIT_EVENT_ACK, Dataset::default())?;
             *lock(&shared.events) = Some(stream.try_clone()?);
             // Only questions whether anybody is there come this way.
-            while let Packet::Ping = Packet::read(&mut stream)? {
-                send(&mut stream, &Packet::Pong)?;
+            while Packet::read(&mut stream)?.kind == kind::PING {
+                send(&mut stream, kind::PONG, Dataset::default())?;
             }
             Ok(())
         }
@@ -145,29 +148,24 @@ fn serve_commands(stream: &mut TcpStream, guid: [u8; 16], shared: &Shared) -> st
         body.config().maker_and_model.join(" ")
     };
     let connection = shared.connections.fetch_add(1, Ordering::SeqCst) + 1;
-    let accepted = Packet::InitCommandAck {
-        connection,
-        guid,
-        name,
-        version: VERSION,
-    };
-    send(stream, &accepted)?;
+    let accepted = Dataset::default().u32(connection).bytes(&guid);
+    let accepted = accepted.name(&name).u32(VERSION);
+    send(stream, kind::INIT_COMMAND_ACK, accepted)?;
     loop {
         // The operation and its data.
-        let (data_phase, code, transaction, parameters) = match Packet::read(stream)? {
-            Packet::Request {
-                data_phase,
-                code,
-                transaction,
-                parameters,
-            } => (data_phase, code, transaction, parameters),
-            Packet::Ping => {
-                send(stream, &Packet::Pong)?;
+        let packet = Packet::read(stream)?;
+        match packet.kind {
+            kind::REQUEST => {}
+            kind::PING => {
+                send(stream, kind::PONG, Dataset::default())?;
                 continue;
             }
             _ => continue,
-        };
-        if shared.faults.is_gone() {
+        }
+        let mut fields = packet.fields();
+        let (data_phase, code, transaction) = (fields.u32()?, fields.u16()?, fields.u32()?);
+        let parameters = fields.parameters()?;
+        if shared.faults.now().is_gone {
             return Ok(());
         }
         let data = match data_phase {
@@ -177,14 +175,10 @@ fn serve_commands(stream: &mut TcpStream, guid: [u8; 16], shared: &Shared) -> st
         // Its reply.
         let reply = lock(&shared.body).operation(code, &parameters, &data);
         if let Some(data) = reply.data {
-            send_data(stream, transaction, data)?;
+            send_data(stream, transaction, &data)?;
         }
-        let response = Packet::Response {
-            code: reply.code,
-            transaction,
-            parameters: reply.parameters,
-        };
-        send(stream, &response)?;
+        let response = operation(reply.code, transaction, &reply.parameters);
+        send(stream, kind::RESPONSE, response)?;
         if reply.exposes {
             expose(transaction, shared)?;
         }
@@ -197,32 +191,43 @@ fn serve_commands(stream: &mut TcpStream, guid: [u8; 16], shared: &Shared) -> st
 /// Takes the frame and reports it on the event connection.
 fn expose(transaction: u32, shared: &Shared) -> std::io::Result<()> {
     let exposed = lock(&shared.body).expose();
-    std::thread::sleep(shared.faults.now().slow);
-    if shared.faults.is_gone() {
+    let slow = shared.faults.now().slow;
+    std::thread::sleep(slow);
+    if shared.faults.now().is_gone {
         return Err(ErrorKind::ConnectionAborted.into());
     }
     let events = exposed.unwrap_or_else(|_| vec![(GENERAL_ERROR, Vec::new())]);
     if let Some(stream) = lock(&shared.events).as_mut() {
         for (code, parameters) in events {
-            let event = Packet::Event {
-                code,
-                transaction,
-                parameters,
-            };
-            send(stream, &event)?;
+            send(
+                stream,
+                kind::EVENT,
+                operation(code, transaction, &parameters),
+            )?;
         }
     }
     Ok(())
 }
 
+/// Code, transaction and parameters, as responses and events have them.
+fn operation(code: u16, transaction: u32, parameters: &[u32]) -> Dataset {
+    let start = Dataset::default().u16(code).u32(transaction);
+    parameters
+        .iter()
+        .fold(start, |data, value| data.u32(*value))
+}
+
 fn data_of_client(stream: &mut TcpStream) -> std::io::Result<Vec<u8>> {
     let mut data = Vec::new();
     loop {
-        match Packet::read(stream)? {
-            Packet::StartData { .. } => {}
-            Packet::Data { payload, .. } => data.extend(payload),
-            Packet::EndData { payload, .. } => {
-                data.extend(payload);
+        let packet = Packet::read(stream)?;
+        let mut fields = packet.fields();
+        fields.u32()?;
+        match packet.kind {
+            kind::START_DATA => {}
+            kind::DATA => data.extend(fields.rest()),
+            kind::END_DATA => {
+                data.extend(fields.rest());
                 return Ok(data);
             }
             _ => return Err(ErrorKind::InvalidData.into()),
@@ -230,23 +235,13 @@ fn data_of_client(stream: &mut TcpStream) -> std::io::Result<Vec<u8>> {
     }
 }
 
-fn send_data(stream: &mut TcpStream, transaction: u32, data: Vec<u8>) -> std::io::Result<()> {
-    let length = data.len() as u64;
-    let start = Packet::StartData {
-        transaction,
-        length,
-    };
-    send(stream, &start)?;
-    let payload = data;
-    send(
-        stream,
-        &Packet::EndData {
-            transaction,
-            payload,
-        },
-    )
+fn send_data(stream: &mut TcpStream, transaction: u32, data: &[u8]) -> std::io::Result<()> {
+    let of_transaction = || Dataset::default().u32(transaction);
+    let start = of_transaction().u64(data.len() as u64);
+    send(stream, kind::START_DATA, start)?;
+    send(stream, kind::END_DATA, of_transaction().bytes(data))
 }
 
-fn send(stream: &mut TcpStream, packet: &Packet) -> std::io::Result<()> {
-    stream.write_all(&packet.encode())
+fn send(stream: &mut TcpStream, kind: u32, body: Dataset) -> std::io::Result<()> {
+    stream.write_all(&Packet::new(kind, body).encode())
 }

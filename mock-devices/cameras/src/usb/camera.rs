@@ -4,13 +4,13 @@
 //! exposure while exposure is automatic, and begins a frame when the one before
 //! has been read out.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use super::descriptors::Identity;
 use super::{Descriptors, Setup, Stall, UsbDevice};
 use mock_devices::RadianceSource;
 use mock_devices::bench::Bench;
-use mock_devices::clock::lock;
+use mock_devices::failing::{Failing, due};
 use mock_devices::sensor::{FrameKey, NoiseKey, SensorModel};
 
 /// Most bytes of one payload, its header included.
@@ -86,45 +86,23 @@ fn controls() -> [Control; 6] {
     ]
 }
 
+/// What goes wrong.
 #[derive(Debug, Default)]
-struct Faults {
-    stalls_exposure: bool,
-    ignores_exposure: bool,
-    damaged: u32,
-    cut: u32,
-    silent: bool,
+pub struct Faults {
+    /// It stalls where its exposure is set.
+    pub stalls_exposure: bool,
+    /// It confirms exposures and keeps the one that it has.
+    pub ignores_exposure: bool,
+    /// So many frames carry the class's error bit.
+    pub damaged: u32,
+    /// So many frames end after half of their bytes.
+    pub cut: u32,
+    /// It sends no frames, as if it hung.
+    pub silent: bool,
 }
 
 /// Handle by which a test makes the camera fail.
-#[derive(Clone, Debug, Default)]
-pub struct CameraFaults(Arc<Mutex<Faults>>);
-
-impl CameraFaults {
-    /// Whether it stalls where its exposure is set.
-    pub fn stall_exposure(&self, stalls: bool) {
-        lock(&self.0).stalls_exposure = stalls;
-    }
-
-    /// Whether it confirms exposures and keeps the one that it has.
-    pub fn ignore_exposure(&self, ignores: bool) {
-        lock(&self.0).ignores_exposure = ignores;
-    }
-
-    /// So many frames carry the class's error bit.
-    pub fn damage(&self, frames: u32) {
-        lock(&self.0).damaged = frames;
-    }
-
-    /// So many frames end after half of their bytes.
-    pub fn cut(&self, frames: u32) {
-        lock(&self.0).cut = frames;
-    }
-
-    /// Whether it sends no frames, as if it hung.
-    pub fn silence(&self, silent: bool) {
-        lock(&self.0).silent = silent;
-    }
-}
+pub type CameraFaults = Failing<Faults>;
 
 /// A frame that is being sent.
 #[derive(Debug)]
@@ -195,7 +173,7 @@ impl UsbCamera {
 
     fn begin(&mut self) -> Exposing {
         let wanted = self.controls[EXPOSURE].value;
-        if !lock(&self.faults.0).ignores_exposure {
+        if !self.faults.now().ignores_exposure {
             self.kept_exposure = wanted;
         }
         Exposing {
@@ -238,13 +216,11 @@ impl UsbCamera {
                 .flat_map(|count| count.to_le_bytes())
                 .collect(),
         };
-        let mut faults = lock(&self.faults.0);
-        if faults.cut > 0 {
-            faults.cut -= 1;
+        let mut faults = self.faults.now();
+        if due(&mut faults.cut) {
             bytes.truncate(bytes.len() / 2);
         }
-        let is_damaged = faults.damaged > 0;
-        faults.damaged = faults.damaged.saturating_sub(1);
+        let is_damaged = due(&mut faults.damaged);
         Sending {
             bytes,
             sent: 0,
@@ -298,7 +274,7 @@ impl UsbCamera {
         let bytes = |value: u32| Ok(value.to_le_bytes()[..control.bytes].to_vec());
         match setup.request {
             SET_CUR => {
-                let stalls = lock(&self.faults.0).stalls_exposure || !is_manual;
+                let stalls = self.faults.now().stalls_exposure || !is_manual;
                 if at == EXPOSURE && stalls {
                     return Err(Stall);
                 }
@@ -337,7 +313,7 @@ impl UsbDevice for UsbCamera {
 
     fn give(&mut self, _: u8, most: usize) -> Option<Vec<u8>> {
         if self.sending.is_none() {
-            if lock(&self.faults.0).silent {
+            if self.faults.now().silent {
                 return None;
             }
             let exposing = match self.exposing {
@@ -535,23 +511,23 @@ mod tests {
             frame(&mut camera)
         };
         let whole = next().unwrap();
-        faults.damage(1);
+        faults.now().damaged = 1;
         assert!(!next().unwrap().1);
-        faults.cut(1);
+        faults.now().cut = 1;
         assert_eq!(next().unwrap().0.len(), whole.0.len() / 2);
-        faults.silence(true);
+        faults.now().silent = true;
         assert_eq!(next(), None);
-        faults.silence(false);
+        faults.now().silent = false;
         clock.advance(0.1);
         assert!(next().is_some());
-        faults.stall_exposure(true);
+        faults.now().stalls_exposure = true;
         request(&mut camera, SET_CUR, (CAMERA, 2), &[1]).unwrap();
         assert_eq!(
             request(&mut camera, SET_CUR, (CAMERA, 4), &[9, 0, 0, 0]),
             None
         );
-        faults.stall_exposure(false);
-        faults.ignore_exposure(true);
+        faults.now().stalls_exposure = false;
+        faults.now().ignores_exposure = true;
         assert!(request(&mut camera, SET_CUR, (CAMERA, 4), &[9, 0, 0, 0]).is_some());
         assert_eq!(camera.begin().exposure_s, 156.0 * EXPOSURE_STEP_S);
     }

@@ -82,13 +82,13 @@ fn aravis_reads_and_writes_features() {
 fn a_device_that_another_controller_holds_takes_no_value() {
     let address = "127.0.0.72";
     let device = device([127, 0, 0, 72]);
-    device.faults().hold(true);
+    device.faults().now().is_held = true;
     let held = ["control", "BlackLevel=100", "BlackLevel"];
     let Some(read) = tool(address, &held) else {
         return;
     };
     assert!(!read.contains("100"), "{read}");
-    device.faults().hold(false);
+    device.faults().now().is_held = false;
     let read = tool(address, &held).unwrap();
     assert!(read.contains("100"), "{read}");
 }

@@ -434,13 +434,6 @@ mod tests {
         }
     }
 
-    fn grbl_banner(version: &str) -> Reply {
-        Reply::Banner {
-            version: version.to_owned(),
-            dialect: Dialect::Grbl,
-        }
-    }
-
     #[test]
     fn versions_before_1_1_are_old() {
         assert!(is_old("0.9j") && is_old("v0.8c"));
@@ -449,117 +442,70 @@ mod tests {
 
     #[test]
     fn lines_as_controllers_send_them() {
-        let cases: &[(&str, Reply)] = &[
-            ("ok", Reply::Ok),
-            ("error:20", Reply::Error(Code::Number(20))),
-            (
-                "error: Unsupported command",
-                Reply::Error(Code::Text("Unsupported command".to_owned())),
-            ),
-            ("ALARM:1", Reply::Alarm(Code::Number(1))),
-            (
-                "ALARM: Hard limit",
-                Reply::Alarm(Code::Text("Hard limit".to_owned())),
-            ),
-            ("Grbl 1.1h ['$' for help]", grbl_banner("1.1h")),
-            (
-                "Grbl 1.1h: LongMill build ['$' for help]",
-                grbl_banner("1.1h"),
-            ),
-            ("ArcBench 1.1h ['$' for help]", grbl_banner("1.1h")),
-            ("Grbl-Mega-5X 1.1t ['$' for help]", grbl_banner("1.1t")),
-            (
-                "Grbl v1.1f [uCNC v1.8.9 '$' for help]",
-                grbl_banner("v1.1f"),
-            ),
-            ("Turntable ['$' for help]", grbl_banner("Turntable")),
-            (
-                "Grbl 3.7 [FluidNC v3.7.13 (wifi) '$' for help]",
-                Reply::Banner {
-                    version: "3.7".to_owned(),
-                    dialect: Dialect::FluidNc,
-                },
-            ),
-            (
-                "<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>",
-                Reply::OldStatus("<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>".to_owned()),
-            ),
-            (
-                "<Idle|MPos:nan,0.000,0.000>",
-                Reply::Status(report(MachineState::Idle)),
-            ),
-            (
-                "$/axes/x/steps_per_mm=80.000",
-                Reply::Info {
-                    key: "$/axes/x/steps_per_mm".to_owned(),
-                    text: "80.000".to_owned(),
-                },
-            ),
-            (
-                "$N0=",
-                Reply::Info {
-                    key: "$N0".to_owned(),
-                    text: String::new(),
-                },
-            ),
+        const CASES: &str = r#"
+            ok => Ok
+            error:20 => Error(Number(20))
+            error: Unsupported command => Error(Text("Unsupported command"))
+            ALARM:1 => Alarm(Number(1))
+            ALARM: Hard limit => Alarm(Text("Hard limit"))
+            Grbl 1.1h ['$' for help] => Banner { version: "1.1h", dialect: Grbl }
+            Grbl 1.1h: LongMill build ['$' for help] => Banner { version: "1.1h", dialect: Grbl }
+            ArcBench 1.1h ['$' for help] => Banner { version: "1.1h", dialect: Grbl }
+            Grbl-Mega-5X 1.1t ['$' for help] => Banner { version: "1.1t", dialect: Grbl }
+            grblHAL 1.1f ['$' or '$HELP' for help] => Banner { version: "1.1f", dialect: Grbl }
+            Grbl v1.1f [uCNC v1.8.9 '$' for help] => Banner { version: "v1.1f", dialect: Grbl }
+            Turntable ['$' for help] => Banner { version: "Turntable", dialect: Grbl }
+            Grbl 3.7 [FluidNC v3.7.13 (wifi) '$' for help] => Banner { version: "3.7", dialect: FluidNc }
+            <Idle,MPos:0.000,0.000,WPos:0.000,0.000> => OldStatus("<Idle,MPos:0.000,0.000,WPos:0.000,0.000>")
+            $/axes/x/steps_per_mm=80.000 => Info { key: "$/axes/x/steps_per_mm", text: "80.000" }
+            $N0= => Info { key: "$N0", text: "" }
+            $302=192.168.5.1 => Info { key: "$302", text: "192.168.5.1" }
+            $73= => Info { key: "$73", text: "" }
+            $110=500.000 => Setting { number: 110, value: 500.0 }
+            $32=0 (laser mode, bool) => Setting { number: 32, value: 0.0 }
+            [VER:1.1h.20190825:] => Info { key: "VER", text: "1.1h.20190825:" }
+            [MSG:'$H'|'$X' to unlock] => Info { key: "MSG", text: "'$H'|'$X' to unlock" }
+            >G21:ok => StartupLine
+        "#;
+        for case in CASES.trim().lines() {
+            let (line, reply) = case.trim().split_once(" => ").unwrap();
+            assert_eq!(format!("{:?}", parse(line.as_bytes())), reply, "{line}");
+        }
+        assert_eq!(parse(b""), Reply::Empty);
+    }
+
+    #[test]
+    fn statuses_as_controllers_send_them() {
+        let cases: &[(&str, StatusReport)] = &[
+            ("<Idle|MPos:nan,0.000,0.000>", report(MachineState::Idle)),
             (
                 "?<Door:1|MPos:0.000,0.000,0.000|Pn:D|H||X>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     machine: Some(vec![0.0; 3]),
                     ..report(MachineState::Door(1))
-                }),
-            ),
-            (
-                "$110=500.000",
-                Reply::Setting {
-                    number: 110,
-                    value: 500.0,
                 },
             ),
-            (
-                "$32=0 (laser mode, bool)",
-                Reply::Setting {
-                    number: 32,
-                    value: 0.0,
-                },
-            ),
-            (
-                "[VER:1.1h.20190825:]",
-                Reply::Info {
-                    key: "VER".to_owned(),
-                    text: "1.1h.20190825:".to_owned(),
-                },
-            ),
-            (
-                "[MSG:'$H'|'$X' to unlock]",
-                Reply::Info {
-                    key: "MSG".to_owned(),
-                    text: "'$H'|'$X' to unlock".to_owned(),
-                },
-            ),
-            (">G21:ok", Reply::StartupLine),
-            ("", Reply::Empty),
             (
                 "<Idle|MPos:0.000,-5.529,0.000|FS:0,0|Ov:100,100,100>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     machine: Some(vec![0.0, -5.529, 0.0]),
                     speed: Some(0.0),
                     accessories: Some(Accessories::default()),
                     ..report(MachineState::Idle)
-                }),
+                },
             ),
             (
                 "<Run|WPos:1.500,2.000,0.000|Bf:14,127|FS:500,8000|WCO:1.000,0.000,1.551>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     work: Some(vec![1.5, 2.0, 0.0]),
                     work_offset: Some(vec![1.0, 0.0, 1.551]),
                     speed: Some(8000.0),
                     ..report(MachineState::Run)
-                }),
+                },
             ),
             (
                 "<Hold:1|MPos:5.000,0.000,0.000|F:500|Pn:XYZPDHRS|Ov:100,100,100|A:SFM>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     machine: Some(vec![5.0, 0.0, 0.0]),
                     accessories: Some(Accessories {
                         spindle: Spindle::Clockwise,
@@ -567,29 +513,11 @@ mod tests {
                         mist: true,
                     }),
                     ..report(MachineState::Hold(1))
-                }),
-            ),
-            (
-                "grblHAL 1.1f ['$' or '$HELP' for help]",
-                grbl_banner("1.1f"),
-            ),
-            (
-                "$302=192.168.5.1",
-                Reply::Info {
-                    key: "$302".to_owned(),
-                    text: "192.168.5.1".to_owned(),
-                },
-            ),
-            (
-                "$73=",
-                Reply::Info {
-                    key: "$73".to_owned(),
-                    text: String::new(),
                 },
             ),
             (
                 "<Alarm:11|MPos:1.0,2.0,3.0|Bf:35,1023|FS:0,0,0|Ov:100,100,100|A:FT|H:0,3|FW:grblHAL>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     machine: Some(vec![1.0, 2.0, 3.0]),
                     speed: Some(0.0),
                     accessories: Some(Accessories {
@@ -597,19 +525,23 @@ mod tests {
                         ..Accessories::default()
                     }),
                     ..report(MachineState::Alarm)
-                }),
+                },
             ),
             (
                 "<Alarm|MPos:1.0,2.0,3.0,4.0|FS:0,0>",
-                Reply::Status(StatusReport {
+                StatusReport {
                     machine: Some(vec![1.0, 2.0, 3.0, 4.0]),
                     speed: Some(0.0),
                     ..report(MachineState::Alarm)
-                }),
+                },
             ),
         ];
-        for (line, reply) in cases {
-            assert_eq!(&parse(line.as_bytes()), reply, "{line}");
+        for (line, report) in cases {
+            assert_eq!(
+                parse(line.as_bytes()),
+                Reply::Status(report.clone()),
+                "{line}"
+            );
         }
     }
 

@@ -200,9 +200,6 @@ impl BracketSamples {
 
     /// Checks that a curve can be had, drops the pixels that do not constrain it, and returns
     /// which counts do.
-    ///
-    /// # Errors
-    /// See [`ResponseError`].
     pub fn checked(mut self) -> Result<(Self, RangeInclusive<u8>), ResponseError> {
         let mut exposures = self.exposures_s.clone();
         exposures.sort_by(f64::total_cmp);

@@ -35,9 +35,6 @@ pub struct CameraOptions {
 
 /// Finds the camera from images of a board; `described` is its kind, its start, and where
 /// it roughly stands. Also returns why images show no board.
-///
-/// # Errors
-/// See [`CameraError`].
 pub fn calibrate(
     images: &[Grey],
     described: &Camera,

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::CameraFit;
-use crate::calibration::record::{self, BadValue, Kind, Values};
+use crate::calibration::record::{BadValue, Kind, Values, must};
 use crate::config::geometry::GeometryConfig;
 use crate::frames::Rigid;
 use crate::transport::distortion::Folded;
@@ -176,38 +176,25 @@ impl Values for CameraValues {
     const KIND: Kind = Kind::Camera;
 
     fn check(&self) -> Result<(), BadValue> {
-        let bad = |key: &str, value: String, allowed: &str| {
-            Err(record::bad(key, value, allowed.to_owned()))
-        };
-        if self
-            .resolution_px
-            .iter()
-            .any(|n| !(1..=100_000).contains(n))
-        {
-            let allowed = "from 1 to 100000";
-            return bad(
-                "resolution_px",
-                format!("{:?}", self.resolution_px),
-                allowed,
-            );
-        }
-        if self.scale.iter().any(|s| !(1e-6..=1e9).contains(s)) {
-            return bad("scale", format!("{:?}", self.scale), "from 1e-6 to 1e9");
-        }
+        let mut sides = self.resolution_px.iter();
+        let possible = sides.all(|n| (1..=100_000).contains(n));
+        let value = format!("{:?}", self.resolution_px);
+        must(possible, "resolution_px", value, "from 1 to 100000")?;
+        let possible = self.scale.iter().all(|s| (1e-6..=1e9).contains(s));
+        let value = format!("{:?}", self.scale);
+        must(possible, "scale", value, "from 1e-6 to 1e9")?;
         let inside = |i: usize| {
             (0.0..=f64::from(self.resolution_px[i])).contains(&self.principal_point_px[i])
         };
-        if !inside(0) || !inside(1) {
-            let value = format!("{:?}", self.principal_point_px);
-            return bad("principal_point_px", value, "within the image");
-        }
+        let value = format!("{:?}", self.principal_point_px);
+        let key = "principal_point_px";
+        must(inside(0) && inside(1), key, value, "within the image")?;
         let n = self.found.len();
         let square = self.covariance.len() == n && self.covariance.iter().all(|r| r.len() == n);
         let finite = self.covariance.iter().flatten().all(|v| v.is_finite());
-        if !square || !finite || (0..n).any(|i| self.covariance[i][i] < 0.0) {
-            let allowed = "one finite row and column for each of values.found";
-            return bad("covariance", "another matrix".to_owned(), allowed);
-        }
+        let possible = square && finite && (0..n).all(|i| self.covariance[i][i] >= 0.0);
+        let allowed = "one finite row and column for each of values.found";
+        must(possible, "covariance", "another matrix", allowed)?;
         let described = Camera {
             resolution_px: self.resolution_px.map(|n| n as usize),
             projection: Projection::Perspective { fov_rad: 1.0 },
@@ -217,9 +204,9 @@ impl Values for CameraValues {
             object_na: 0.0,
             point_spread_px: 0.0,
         };
-        match self.camera(&described) {
-            Ok(_) => Ok(()),
-            Err(folded) => bad("radial", format!("{:?}", self.radial), &folded.to_string()),
-        }
+        let folded = self.camera(&described).err();
+        let allowed = folded.as_ref().map_or(String::new(), ToString::to_string);
+        let value = format!("{:?}", self.radial);
+        must(folded.is_none(), "radial", value, allowed)
     }
 }

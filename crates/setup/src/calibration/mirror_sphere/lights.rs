@@ -53,9 +53,6 @@ pub enum DirectionsError {
 }
 
 /// Measures the lights of a bench.
-///
-/// # Errors
-/// See [`DirectionsError`].
 pub fn measure(request: &DirectionsRequest) -> Result<MeasuredDirections, DirectionsError> {
     let &DirectionsRequest {
         geometry,

@@ -237,9 +237,6 @@ fn project(camera: &Camera, point_mm: DVec3) -> DVec2 {
 /// The spheres in images of one scene under several lights: near the given circles, else
 /// searched for. Their outlines are fitted in `outline` where it is given, else in the
 /// images themselves, each around the side that its light shines on.
-///
-/// # Errors
-/// See [`SphereError`].
 pub fn spheres_in(
     images: &[Grey],
     outline: Option<&Grey>,
@@ -357,9 +354,6 @@ const STATED_DISTANCE_STD: f64 = 0.02;
 
 /// Every image's light, and the lamp's distance where two spheres determine it. `stated_mm`:
 /// the distance that is assumed with a single sphere, `None` for parallel light.
-///
-/// # Errors
-/// See [`SphereError`].
 pub fn locate_all(
     camera: &Camera,
     spheres: &[Sphere],

@@ -35,9 +35,6 @@ const LEAST_CONTRAST: f64 = 2.0;
 const LEAST_EXPLAINED: f64 = 0.5;
 
 /// Finds the pose of `scene`'s sample in one image per light; see [`super`].
-///
-/// # Errors
-/// See [`PoseError`].
 pub fn align(
     scene: &Scene,
     images: &[RadianceImage],

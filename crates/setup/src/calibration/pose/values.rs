@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::PoseEstimate;
-use crate::calibration::record::{self, BadValue, Kind, Measured, Values};
+use crate::calibration::record::{BadValue, Kind, Measured, Values, must};
 
 /// The sample's pose against the rig file's description: turned about its datum, then moved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,29 +81,18 @@ impl Values for PoseValues {
     const KIND: Kind = Kind::Pose;
 
     fn check(&self) -> Result<(), BadValue> {
-        let bad = |key: &str, value: String, allowed: &str| {
-            Err(record::bad(key, value, allowed.to_owned()))
-        };
-        let turned = Vector3::from(self.rotation_deg);
-        if !(0.0..=45.0).contains(&turned.norm()) {
-            let allowed = "a vector of at most 45 degrees";
-            return bad("rotation_deg", format!("{:?}", self.rotation_deg), allowed);
-        }
-        let moved = Vector3::from(self.translation_mm);
-        if !(0.0..=1e4).contains(&moved.norm()) {
-            let allowed = "a vector of at most 1e4 mm";
-            return bad(
-                "translation_mm",
-                format!("{:?}", self.translation_mm),
-                allowed,
-            );
-        }
+        let turned = Vector3::from(self.rotation_deg).norm();
+        let value = format!("{:?}", self.rotation_deg);
+        let allowed = "a vector of at most 45 degrees";
+        must(turned <= 45.0, "rotation_deg", value, allowed)?;
+        let moved = Vector3::from(self.translation_mm).norm();
+        let value = format!("{:?}", self.translation_mm);
+        let allowed = "a vector of at most 1e4 mm";
+        must(moved <= 1e4, "translation_mm", value, allowed)?;
         let covariance = Matrix6::from_fn(|i, j| self.covariance[i][j]);
         let symmetric = (covariance - covariance.transpose()).amax() <= 1e-9 * covariance.amax();
-        if !symmetric || covariance.cholesky().is_none() {
-            let allowed = "6 x 6 numbers, symmetric and positive definite";
-            return bad("covariance", "another matrix".to_owned(), allowed);
-        }
-        Ok(())
+        let possible = symmetric && covariance.cholesky().is_some();
+        let allowed = "6 x 6 numbers, symmetric and positive definite";
+        must(possible, "covariance", "another matrix", allowed)
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{BadValue, Kind, MapFile, Measured, Values, bad};
+use super::{BadValue, Kind, MapFile, Measured, Values, must, within};
 use crate::calibration::pixel_map::PixelMap;
 use crate::calibration::white_lights::LightIntensity;
 use crate::radiometry::linearity::Linearity;
@@ -76,46 +76,34 @@ impl Values for SensorValues {
         self.dark_current_e_s.check("dark_current_e_s", 0.0, 1e9)?;
         self.dark_current_spread_e_s
             .check("dark_current_spread_e_s", 0.0, 1e9)?;
-        if !(1..=16).contains(&self.bit_depth) {
-            return Err(bad("bit_depth", self.bit_depth, "from 1 to 16".into()));
-        }
-        let full_scale_dn = f64::from((1u32 << self.bit_depth) - 1);
-        if !(0.0..=full_scale_dn).contains(&self.saturation_dn) {
-            let allowed = format!("from 0 to {full_scale_dn}");
-            return Err(bad("saturation_dn", self.saturation_dn, allowed));
-        }
-        if !(0.0..=self.saturation_dn).contains(&self.linear_max_dn) {
-            let allowed = format!("from 0 to saturation_dn ({})", self.saturation_dn);
-            return Err(bad("linear_max_dn", self.linear_max_dn, allowed));
-        }
-        if !(0.0..=1.0).contains(&self.linearity_error) {
-            let allowed = "from 0 to 1".to_owned();
-            return Err(bad("linearity_error", self.linearity_error, allowed));
-        }
+        let bits = self.bit_depth;
+        must((1..=16).contains(&bits), "bit_depth", bits, "from 1 to 16")?;
+        let full_scale_dn = f64::from((1u32 << bits) - 1);
+        within("saturation_dn", self.saturation_dn, 0.0, full_scale_dn)?;
+        let below = (0.0..=self.saturation_dn).contains(&self.linear_max_dn);
+        let allowed = format!("from 0 to saturation_dn ({})", self.saturation_dn);
+        must(below, "linear_max_dn", self.linear_max_dn, allowed)?;
+        within("linearity_error", self.linearity_error, 0.0, 1.0)?;
+        const COVARIANCE: &str = "symmetric and positive semidefinite";
         if let Some(dark) = &self.dark_pattern {
             dark.offset_dn.check("dark_pattern.offset_dn")?;
-            dark.dark_current_e_s
-                .check("dark_pattern.dark_current_e_s")?;
+            let key = "dark_pattern.dark_current_e_s";
+            dark.dark_current_e_s.check(key)?;
             let [[a, b], [c, d]] = dark.covariance;
             let possible = a >= 0.0 && d >= 0.0 && b == c && b * b <= a * d * (1.0 + 1e-9);
-            if !(possible && a.is_finite() && d.is_finite()) {
-                let allowed = "symmetric and positive semidefinite".to_owned();
-                let value = format!("{:?}", dark.covariance);
-                return Err(bad("dark_pattern.covariance", value, allowed));
-            }
+            let possible = possible && a.is_finite() && d.is_finite();
+            let value = format!("{:?}", dark.covariance);
+            must(possible, "dark_pattern.covariance", value, COVARIANCE)?;
         }
         if let Some(linearity) = &self.linearity {
             let range_dn = self.linear_max_dn - self.black_level_dn.value;
-            if !linearity.grows_up_to(range_dn) {
-                let allowed = format!("such that the signal grows up to {range_dn} DN");
-                let value = format!("{:?}", linearity.coefficients);
-                return Err(bad("linearity.coefficients", value, allowed));
-            }
-            if !linearity.has_covariance() {
-                let allowed = "symmetric and positive semidefinite".to_owned();
-                let value = format!("{:?}", linearity.covariance);
-                return Err(bad("linearity.covariance", value, allowed));
-            }
+            let allowed = format!("such that the signal grows up to {range_dn} DN");
+            let value = format!("{:?}", linearity.coefficients);
+            let grows = linearity.grows_up_to(range_dn);
+            must(grows, "linearity.coefficients", value, allowed)?;
+            let value = format!("{:?}", linearity.covariance);
+            let possible = linearity.has_covariance();
+            must(possible, "linearity.covariance", value, COVARIANCE)?;
         }
         Ok(())
     }
@@ -148,13 +136,10 @@ impl Values for FlatValues {
     const KIND: Kind = Kind::Flat;
 
     fn check(&self) -> Result<(), BadValue> {
-        if !(self.response_per_count > 0.0 && self.response_per_count <= 1.0) {
-            let allowed = "above 0, at most 1".to_owned();
-            return Err(bad("response_per_count", self.response_per_count, allowed));
-        }
-        if !(0.0..=1.0).contains(&self.std) {
-            return Err(bad("std", self.std, "from 0 to 1".into()));
-        }
+        let scale = self.response_per_count;
+        let possible = scale > 0.0 && scale <= 1.0;
+        must(possible, "response_per_count", scale, "above 0, at most 1")?;
+        within("std", self.std, 0.0, 1.0)?;
         if let Some(ambient) = self.ambient {
             ambient.check("ambient", -1.0, 10.0)?;
         }
@@ -205,8 +190,13 @@ impl Values for LightsValues {
                 relative.check("lights.relative", 1e-3, 1e3)?;
             }
             let shape = light.slope_per_mm.iter().chain(&light.curve_per_mm2);
-            if let Some(term) = shape.chain([&light.uneven]).find(|v| !v.is_finite()) {
-                return Err(bad("lights.slope_per_mm", term, "finite numbers".into()));
+            for term in shape.chain([&light.uneven]) {
+                must(
+                    term.is_finite(),
+                    "lights.slope_per_mm",
+                    term,
+                    "finite numbers",
+                )?;
             }
         }
         Ok(())
@@ -259,22 +249,23 @@ impl Values for ResponseValues {
 
     fn check(&self) -> Result<(), BadValue> {
         let channels = self.channels.len();
-        if channels != 1 && channels != 3 {
-            return Err(bad("channels", channels, "1 or 3 curves".into()));
-        }
+        must(
+            [1, 3].contains(&channels),
+            "channels",
+            channels,
+            "1 or 3 curves",
+        )?;
         for curve in &self.channels {
-            if curve.darkest > 128 {
-                return Err(bad("channels.darkest", curve.darkest, "at most 128".into()));
-            }
-            let finite = curve.ln_exposure.iter().chain(&curve.ln_std);
+            let darkest = curve.darkest;
+            must(darkest <= 128, "channels.darkest", darkest, "at most 128")?;
+            let mut numbers = curve.ln_exposure.iter().chain(&curve.ln_std);
             let counts = [curve.ln_exposure.len(), curve.ln_std.len()];
-            if counts != [256; 2] || !finite.clone().all(|x| x.is_finite()) {
-                let allowed = "256 finite numbers each".to_owned();
-                return Err(bad("channels", format!("{counts:?} numbers"), allowed));
-            }
-            if let Some(z) = (1..256).find(|&z| curve.ln_exposure[z] <= curve.ln_exposure[z - 1]) {
-                let allowed = "above the one of the count before".to_owned();
-                return Err(bad("channels.ln_exposure", curve.ln_exposure[z], allowed));
+            let whole = counts == [256; 2] && numbers.all(|x| x.is_finite());
+            let value = format!("{counts:?} numbers");
+            must(whole, "channels", value, "256 finite numbers each")?;
+            for pair in curve.ln_exposure.windows(2) {
+                let allowed = "above the one of the count before";
+                must(pair[1] > pair[0], "channels.ln_exposure", pair[1], allowed)?;
             }
         }
         Ok(())
@@ -319,10 +310,7 @@ impl Values for LampValues {
         self.warm_up_constant_s
             .check("warm_up_constant_s", 0.0, 1e6)?;
         self.drift_per_hour.check("drift_per_hour", -100.0, 100.0)?;
-        if !(0.0..=1e7).contains(&self.warm_up_time_s) {
-            let allowed = "from 0 to 1e7".to_owned();
-            return Err(bad("warm_up_time_s", self.warm_up_time_s, allowed));
-        }
+        within("warm_up_time_s", self.warm_up_time_s, 0.0, 1e7)?;
         for flicker in &self.flicker {
             flicker.relative.check("flicker.relative", 0.0, 10.0)?;
         }

@@ -39,9 +39,6 @@ pub struct FocusRequest<'a> {
 }
 
 /// Measures point spread, focus and aperture from edges.
-///
-/// # Errors
-/// See [`EdgeError`].
 pub fn measure(request: &FocusRequest) -> Result<(Vec<Edge>, Fitted, FocusValues), EdgeError> {
     let &FocusRequest {
         images,

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fit::Fitted;
 use super::locate::Edge;
-use crate::calibration::record::{self, BadValue, Kind, Measured, Values};
+use crate::calibration::record::{BadValue, Kind, Measured, Values};
 use crate::config::geometry::GeometryConfig;
 
 /// How sharp a camera is, from slanted edges.
@@ -52,21 +52,10 @@ impl Values for FocusValues {
     const KIND: Kind = Kind::Focus;
 
     fn check(&self) -> Result<(), BadValue> {
-        let bad = |key: &str, m: Measured, allowed: &str| {
-            Err(record::bad(key, m.value, allowed.to_owned()))
-        };
-        let known = |m: Measured| m.std >= 0.0 && m.std.is_finite();
-        let spread = self.point_spread_px;
-        if !((0.0..=20.0).contains(&spread.value) && known(spread)) {
-            return bad("point_spread_px", spread, "from 0 to 20");
-        }
+        self.point_spread_px.check("point_spread_px", 0.0, 20.0)?;
         if let Some(lens) = &self.lens {
-            if !((1e-3..=1e5).contains(&lens.focus_mm.value) && known(lens.focus_mm)) {
-                return bad("lens.focus_mm", lens.focus_mm, "from 0.001 to 1e5");
-            }
-            if !((0.0..=0.95).contains(&lens.object_na.value) && known(lens.object_na)) {
-                return bad("lens.object_na", lens.object_na, "from 0 to 0.95");
-            }
+            lens.focus_mm.check("lens.focus_mm", 1e-3, 1e5)?;
+            lens.object_na.check("lens.object_na", 0.0, 0.95)?;
         }
         Ok(())
     }

@@ -152,9 +152,4 @@ impl Answers {
     pub(super) fn whole(&self, key: &str) -> Option<u32> {
         self.number(key).map(|number| number as u32)
     }
-
-    /// Whether a question was answered with yes.
-    pub(super) fn is_yes(&self, key: &str) -> bool {
-        self.get(key).and_then(Answer::flag) == Some(true)
-    }
 }

@@ -29,9 +29,6 @@ pub fn check(questions: &[Question], answers: &Answers) -> Result<(), AnswerErro
 /// The answers to the questions that are asked with them, each in its question's kind, and
 /// the defaults for those that were not answered. Answers to questions that are not asked
 /// are left out.
-///
-/// # Errors
-/// [`AnswerError`].
 pub fn complete(questions: &[Question], answers: &Answers) -> Result<Answers, AnswerError> {
     check(questions, answers)?;
     let mut complete = Answers::default();

@@ -4,8 +4,8 @@
 //! Nothing here opens a device or writes a file. `rig init` asks the questions.
 
 mod answer;
-mod answered;
 mod completion;
+mod derived;
 mod found;
 mod interview;
 mod next;
@@ -17,7 +17,6 @@ mod text;
 use std::path::Path;
 
 pub use answer::{Answer, AnswerError, Answers};
-pub use answered::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
 pub use found::Found;
 pub use interview::{Interviewee, interview};
 pub use next::Step;
@@ -61,11 +60,10 @@ pub fn write(
 ) -> Result<Written, DraftError> {
     let answers = completion::complete(questions, answers)?;
     relation::check(&answers)?;
-    let draft = Draft::of(&answers, found)?;
-    let text = draft.text();
+    let text = text::text(&answers, found);
     let folder = file.parent().unwrap_or(Path::new(""));
     let rig = RigConfig::parse(&file.display().to_string(), folder, &text)?;
-    let next = draft.next(file);
+    let next = next::next(&answers, file);
     Ok(Written { text, rig, next })
 }
 

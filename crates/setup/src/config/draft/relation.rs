@@ -1,7 +1,7 @@
 //! What answers must be to each other. A relation counts once all its answers are there.
 
 use super::answer::{AnswerError, Answers};
-use super::answered::{field_mm, field_of_view};
+use super::derived::{channels, field_mm, field_of_view};
 use super::table::directions;
 
 /// Checks every relation whose answers are there.
@@ -137,10 +137,7 @@ fn filters(answers: &Answers) -> Outcome {
 fn addresses(answers: &Answers) -> Outcome {
     let first = answers.whole("dmx_first")?;
     let lights = directions(answers.text("lights")?)?.len() as u32;
-    let channels = match answers.text("lamp")? {
-        "rgb" => 3,
-        _ => 1,
-    };
+    let channels = channels(answers)?;
     let most = 513i64 - i64::from(lights * channels);
     let allowed = format!("at most {most}: {lights} lights of {channels} channels must end at 512");
     Some(must("dmx_first", i64::from(first) <= most, first, allowed))
