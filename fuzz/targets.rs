@@ -125,6 +125,16 @@ pub const TARGETS: &[Target] = &[
         4096,
     ),
     target(
+        "validation",
+        |bytes| {
+            drop(rig::session::validation::parse(
+                Path::new("validation.json"),
+                bytes,
+            ))
+        },
+        64,
+    ),
+    target(
         "sidecar",
         |bytes| {
             text(bytes, |text| {

@@ -17,6 +17,7 @@ use nalgebra::DVector;
 use super::{Brdf, HalfDifference, Mixture};
 
 mod prior;
+pub mod table;
 
 pub use prior::{MOST_MODES, Prior, smoothed, standard_modes};
 
@@ -309,7 +310,7 @@ impl Discrepancy {
     }
 
     /// The half and difference angles of the [`EARLIER_VALUES`], degrees.
-    pub fn earlier_nodes() -> impl Iterator<Item = [f64; 2]> {
+    fn earlier_nodes() -> impl Iterator<Item = [f64; 2]> {
         let (by_h, by_d) = EARLIER_DEG;
         by_h.into_iter().flat_map(move |h| by_d.map(|d| [h, d]))
     }

@@ -211,23 +211,33 @@ impl Scattered {
         [light, by_uniform, by_halo]
     }
 
-    /// Takes the glare from a whole image.
-    pub fn remove_from(&self, image: &mut RadianceImage) {
-        let width = image.width.max(1);
-        for (pixel, radiance) in image.mean.iter_mut().enumerate() {
-            let middle = DVec2::new((pixel % width) as f64, (pixel / width) as f64) + 0.5;
-            let [light, ..] = self.without(radiance.map(f64::from), middle);
-            *radiance = light.map(|v| v as f32);
-        }
+    /// What one standard deviation of the shares does to the light, given its derivatives by them:
+    /// two independent errors.
+    fn errors(&self, [by_uniform, by_halo]: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
+        let [[uniform, _], [halo_with, halo]] = self.glare.deviations();
+        [
+            std::array::from_fn(|c| uniform * by_uniform[c] + halo_with * by_halo[c]),
+            by_halo.map(|v| halo * v),
+        ]
     }
 }
 
 impl Glare {
-    /// An image without it.
+    /// Takes it from an image; what is not known of its shares adds to the variances.
     pub fn remove_from(&self, image: &mut RadianceImage) {
         let mut sums = BlockSums::new([image.width, image.height]);
         sums.add(image);
-        sums.scattered(self).remove_from(image);
+        let scattered = sums.scattered(self);
+        let width = image.width.max(1);
+        let pixels = image.mean.iter_mut().zip(&mut image.variance);
+        for (pixel, (mean, variance)) in pixels.enumerate() {
+            let middle = DVec2::new((pixel % width) as f64, (pixel / width) as f64) + 0.5;
+            let [light, by_shares @ ..] = scattered.without(mean.map(f64::from), middle);
+            *mean = light.map(|v| v as f32);
+            for error in scattered.errors(by_shares) {
+                (0..3).for_each(|c| variance[c] += (error[c] * error[c]) as f32);
+            }
+        }
     }
 
     /// L with L Lᵀ the shares' covariance, lower triangle.
@@ -246,19 +256,17 @@ impl Captured {
     /// Takes from the image of each light what the lens scattered; what is not known of the
     /// shares becomes two errors that all values have in common.
     pub fn remove_glare(&mut self, of_lights: &[BlockSums], glare: &Glare) {
-        let [[uniform, _], [halo_with, halo]] = glare.deviations();
         let mut errors = [Vec::new(), Vec::new()];
         for (image, sums) in self.images.iter_mut().zip(of_lights) {
             let scattered = sums.scattered(glare);
             let mut of_light = [Vec::new(), Vec::new()];
             for (cell, mean) in image.mean.iter_mut().enumerate() {
                 let place_px = self.cells.cell(cell).middle_px();
-                let [light, by_uniform, by_halo] = scattered.without(*mean, place_px);
+                let [light, by_shares @ ..] = scattered.without(*mean, place_px);
                 *mean = light;
-                of_light[0].push(std::array::from_fn(|c| {
-                    uniform * by_uniform[c] + halo_with * by_halo[c]
-                }));
-                of_light[1].push(by_halo.map(|v| halo * v));
+                for (of_light, error) in of_light.iter_mut().zip(scattered.errors(by_shares)) {
+                    of_light.push(error);
+                }
             }
             for (errors, of_light) in errors.iter_mut().zip(of_light) {
                 errors.push(of_light);

@@ -51,6 +51,9 @@ pub enum Finding {
         image: usize,
         /// Its root mean square over the image's 99th percentile, of the worst channel.
         share: f64,
+        /// The same over the mean of the image's compared cells: with a lens' glare, alike in all
+        /// images.
+        share_of_mean: f64,
     },
     /// The posterior of a channel's weights is the prior.
     NoInformation {
@@ -307,19 +310,26 @@ fn excess_error(judged: &Judged<'_>, values: &[Vec<Compared>]) -> f64 {
 }
 
 fn stray_light(values: &[Compared], image: usize, variance: [f64; 3]) -> Option<Finding> {
-    let share_of = |channel: usize| {
+    let shares_of = |channel: usize| {
         let of_channel = values.iter().filter(|v| v.channel == channel);
         let mut captured: Vec<f64> = of_channel.map(|v| v.captured).collect();
         let last = captured.len().checked_sub(1)?;
+        let mean = captured.iter().sum::<f64>() / (last + 1) as f64;
         let bright = *captured
             .select_nth_unstable_by(99 * last / 100, f64::total_cmp)
             .1;
-        (bright > 0.0).then(|| variance[channel].sqrt() / bright)
+        let shares = [bright, mean].map(|level| variance[channel].sqrt() / level);
+        (bright > 0.0 && mean > 0.0).then_some(shares)
     };
-    let share = (0..3).filter_map(share_of).fold(0.0, f64::max);
+    let worst = (0..3).filter_map(shares_of);
+    let [share, share_of_mean] = worst.max_by(|a, b| a[0].total_cmp(&b[0]))?;
     (NOTABLE_STRAY_LIGHT..MAX_STRAY_LIGHT)
         .contains(&share)
-        .then_some(Finding::StrayLight { image, share })
+        .then_some(Finding::StrayLight {
+            image,
+            share,
+            share_of_mean,
+        })
 }
 
 fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {

@@ -106,7 +106,7 @@ pub(super) fn for_fit_record(error: &FitRecordError) -> Option<String> {
             "give the folder that `rig fit --out` wrote, or a session that `rig fit` has fitted"
                 .into(),
         ),
-        Syntax { .. } | Value { .. } => {
+        Syntax { .. } | Table { .. } | Value { .. } => {
             Some("the fit was changed by hand or damaged; fit again".into())
         }
         NotVouchedFor { .. } => Some("`rig fit SESSION` makes a fit that is journalled".into()),

@@ -431,6 +431,9 @@ pub enum FitRecordError {
         key: String,
         fact: String,
     },
+    /// A table that does not parse, with line and column.
+    #[error("{}: {fact}", path.display())]
+    Table { path: PathBuf, fact: String },
     /// A value out of its range.
     #[error("{}: {key} is {value}, allowed is {allowed}", path.display())]
     Value {

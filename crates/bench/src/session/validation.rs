@@ -379,8 +379,6 @@ pub fn example() -> Validation {
 mod tests {
     use std::sync::Arc;
 
-    use proptest::prelude::*;
-
     use super::*;
     use crate::session::commit::SystemDisk;
     use crate::session::verify::verify;
@@ -445,17 +443,6 @@ mod tests {
             let error = parse(Path::new("v"), text.replacen(from, to, 1).as_bytes());
             let error = error.unwrap_err().to_string();
             assert!(error.contains(fact), "{from}: {error}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn no_bytes_break_the_reader(at in 0usize..2000, with in any::<u8>(), cut in 0usize..4000) {
-            let mut bytes = encode(Path::new("v"), &example()).unwrap();
-            let length = bytes.len();
-            bytes[at % length] = with;
-            bytes.truncate(cut.max(1));
-            drop(parse(Path::new("v"), &bytes));
         }
     }
 }

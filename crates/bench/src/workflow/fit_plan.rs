@@ -85,6 +85,13 @@ impl FitPlan {
         })
     }
 
+    /// Whether what the lens or the room adds is stated: by a record of glare, or as stray light
+    /// that is refined.
+    pub fn allows_stray_light(&self) -> bool {
+        let stated = |priors: &BenchPriors| priors.stray_light > 0.0;
+        self.glare.is_some() || self.priors.as_ref().is_some_and(stated)
+    }
+
     /// How much there is to do for so many cells under so many lights.
     pub fn work(&self, cells: usize, lights: usize) -> FitWork {
         FitWork {

@@ -86,7 +86,7 @@ impl FitPlan {
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
         let (bench, refined) = refined.unzip();
         record.bench = bench.as_ref().map(BenchRecord::from);
-        record.warnings = warnings::of_fit(&fit, &record);
+        record.warnings = warnings::of_fit(&fit, &record, self.allows_stray_light());
         record.remarks = remarks;
         if fit.discrepancy > 0.0 {
             observer.notice(Notice::Discrepancy {

@@ -73,7 +73,7 @@ pub(super) struct Prepared {
     pub images: Vec<ExrRows>,
     drift: LampDrift,
     is_scale_described: bool,
-    glare_remark: Option<String>,
+    pub glare_remark: Option<String>,
 }
 
 /// Reads what a fit of a session by this request starts from.

@@ -131,21 +131,17 @@ pub fn validate_session(
 ) -> Result<Validated, WorkflowError> {
     let mut prepared = prepared(root, request, observer)?;
     let rows = std::mem::take(&mut prepared.images);
-    // Predicted images have none, so it is taken off whole ones.
-    let glare = prepared.plan.glare.take();
     let whole = rows.into_iter().enumerate().map(|(light, mut rows)| {
-        let mut image = rows.next_rows(rows.size()[1])?;
-        if let Some(glare) = &glare {
-            glare.remove_from(&mut image);
-        }
         Ok::<_, WorkflowError>(NamedImage {
             name: crate::session::layout::radiance_file(light as u32),
-            image,
+            image: rows.next_rows(rows.size()[1])?,
             has_variance: true,
         })
     });
     let images: Vec<NamedImage> = whole.collect::<Result<_, _>>()?;
-    let mut found = drawn(&prepared.scene, &prepared.plan, &images, hold_out, observer)?;
+    let (scene, plan) = (&prepared.scene, &prepared.plan);
+    let mut found = drawn(scene, plan, images.into(), hold_out, observer)?;
+    found.fit.remarks.extend(prepared.glare_remark);
     found.validation.simulated = prepared.session.record().simulated;
     Ok(found)
 }
@@ -173,7 +169,7 @@ pub fn validate_images<P: AsRef<Path>>(
     });
     let images: Vec<NamedImage> = read.collect::<Result<_, _>>()?;
     let (scene, plan) = described(&file, request, observer)?;
-    drawn(&scene, &plan, &images, hold_out, observer)
+    drawn(&scene, &plan, images.into(), hold_out, observer)
 }
 
 /// Likewise of images in memory; `each` takes the images of each predicted light in turn.
@@ -189,10 +185,17 @@ pub fn validate_images_in_memory(
     mut each: impl FnMut(LightPrediction),
 ) -> Result<(Validation, FitRecord), WorkflowError> {
     let (scene, plan) = described(file, request, observer)?;
-    validate(&scene, &plan, images, hold_out, observer, |prediction| {
-        each(prediction);
-        Ok(())
-    })
+    validate(
+        &scene,
+        &plan,
+        images.into(),
+        hold_out,
+        observer,
+        |prediction| {
+            each(prediction);
+            Ok(())
+        },
+    )
 }
 
 /// The scene of a file, and the plan of a fit of its images.
@@ -212,7 +215,7 @@ fn described(
 fn drawn(
     scene: &Scene,
     plan: &FitPlan,
-    images: &[NamedImage],
+    images: Cow<'_, [NamedImage]>,
     hold_out: &HoldOut,
     observer: &dyn Observer,
 ) -> Result<Validated, WorkflowError> {
@@ -231,7 +234,7 @@ fn drawn(
 fn validate(
     scene: &Scene,
     plan: &FitPlan,
-    images: &[NamedImage],
+    images: Cow<'_, [NamedImage]>,
     hold_out: &HoldOut,
     observer: &dyn Observer,
     mut each: impl FnMut(LightPrediction) -> Result<(), WorkflowError>,
@@ -241,7 +244,7 @@ fn validate(
         let images = given;
         return Err(AverageError::ImageCount { images, lights }.into());
     }
-    let sources = sources_of(images, scene.camera.resolution_px)?;
+    let sources = sources_of(&images, scene.camera.resolution_px)?;
     let remarks = remarks_on(&sources, observer);
     let unstated: Vec<Option<f32>> = sources.iter().map(|s| s.mean_of_unstated).collect();
     let [fitted, held_out] = hold_out.divide(images.len())?;
@@ -257,6 +260,13 @@ fn validate(
         refined,
     } = plan.run(&part, &captured, false, None, observer)?;
     record.remarks.extend(remarks);
+
+    // What was captured is compared without the lens' glare, as predictions have none.
+    let mut images = images;
+    if let Some(glare) = &plan.glare {
+        let images = images.to_mut().iter_mut();
+        images.for_each(|image| glare.remove_from(&mut image.image));
+    }
 
     // The sample where the refined bench has it, under all lights. Those that were not fitted
     // could not be refined.
@@ -374,6 +384,7 @@ fn pictured(
 mod tests {
     use super::*;
     use crate::brdf::Brdf;
+    use crate::cells::glare::Glare;
     use crate::transport::{RenderOptions, render};
     use glam::Vec3;
 
@@ -457,6 +468,63 @@ mod tests {
         );
         assert_eq!(score.neighbours, None, "too few lights");
         assert_eq!(found.posterior_samples, 16);
+    }
+
+    /// The lens has 1% of glare, the record states (0 ± 1)%: one deviation off. Without its
+    /// uncertainty the intervals would be too narrow.
+    #[test]
+    fn intervals_contain_what_is_not_known_of_the_glare() {
+        let file = scene();
+        let options = RenderOptions {
+            samples_per_pixel: 64,
+            max_reflections: 1,
+            ..RenderOptions::default()
+        };
+        let matt = crate::brdf::load("lambertian:0.4").unwrap();
+        let mut images = render(&file.scene().unwrap(), &*matt, &options);
+        for image in &mut images {
+            let pixels = image.mean.len() as f32;
+            let mean = [0, 1, 2].map(|c| image.mean.iter().map(|m| m[c]).sum::<f32>() / pixels);
+            for (radiance, variance) in image.mean.iter_mut().zip(&mut image.variance) {
+                *radiance = std::array::from_fn(|c| 0.99 * radiance[c] + 0.01 * mean[c]);
+                *variance = radiance.map(|m| (0.001 * m).powi(2) + 1e-8);
+            }
+        }
+        let named = |image: RadianceImage| NamedImage {
+            name: "captured".to_owned(),
+            image,
+            has_variance: true,
+        };
+        let images: Vec<NamedImage> = images.into_iter().map(named).collect();
+        let request = FitRequest {
+            dictionary: Some("rig26".to_owned()),
+            samples_per_cell: Some(16),
+            max_reflections: Some(1),
+            ..FitRequest::default()
+        };
+        let score = |std: f64| {
+            let (scene, mut plan) = described(&file, &request, &()).unwrap();
+            plan.glare = Some(Glare {
+                uniform: 0.0,
+                halo: 0.0,
+                halo_width: 0.1,
+                covariance: [[std * std, 0.0], [0.0, 0.0]],
+            });
+            let found = validate(
+                &scene,
+                &plan,
+                (&images[..]).into(),
+                &HoldOut::default(),
+                &(),
+                |_| Ok(()),
+            );
+            let all = found.unwrap().0.all;
+            println!("{std}: {all:?}");
+            (all.coverage.unwrap(), all.median_half_width.unwrap())
+        };
+        let (known, unknown) = (score(0.0), score(0.01));
+        assert!(known.0 < 0.8 && unknown.0 > 0.9, "{known:?} {unknown:?}");
+        assert!(unknown.1 > 1.5 * known.1, "{known:?} {unknown:?}");
     }
 
     #[test]

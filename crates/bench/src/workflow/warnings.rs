@@ -8,8 +8,8 @@ use crate::session::fit_record::{BenchRecord, FitRecord, Grade, UNEXPLAINED_CHI_
 use crate::shown::nth;
 
 /// Reasons not to trust a fit, or not in everything, with what most likely made them; the
-/// gravest first.
-pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
+/// gravest first. `stray_light_is_stated`: a glare record was used, or stray light refined.
+pub(super) fn of_fit(fit: &Fit, record: &FitRecord, stray_light_is_stated: bool) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut warn = |grade: Grade, what: String, likely_cause: &str| {
         warnings.push(Warning {
@@ -26,19 +26,26 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         _ => Grade::Reservation,
     };
     let is_stray = |finding: &&Finding| matches!(finding, Finding::StrayLight { .. });
+    let shares = fit.findings.iter().filter_map(|finding| match finding {
+        Finding::StrayLight { share_of_mean, .. } => Some(*share_of_mean),
+        _ => None,
+    });
+    let source = StraySource::of(&shares.collect::<Vec<f64>>(), stray_light_is_stated);
     for finding in fit.findings.iter().filter(is_stray) {
-        let (_, what, likely_cause) = describe(finding);
+        let (_, what, likely_cause) = describe(finding, source);
         warn(grave, what, likely_cause);
     }
     let is_said = fit.findings.iter().any(|finding| is_stray(&finding))
         && fit.diagnosis.finding() == Some(Cause::StrayLight);
-    let has_cause =
-        is_said || describe_excess(fit, |what, likely_cause| warn(grave, what, likely_cause));
+    let has_cause = is_said
+        || describe_excess(fit, source, |what, likely_cause| {
+            warn(grave, what, likely_cause)
+        });
     for finding in fit.findings.iter().filter(|finding| !is_stray(finding)) {
         if matches!(finding, Finding::Misfit { .. }) && has_cause {
             continue;
         }
-        let (grade, what, likely_cause) = describe(finding);
+        let (grade, what, likely_cause) = describe(finding, source);
         warn(grade, what, likely_cause);
     }
 
@@ -104,7 +111,7 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
 }
 
 /// Describes an excess residual with its cause, or as of no known cause; `false` without excess.
-fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
+fn describe_excess(fit: &Fit, source: StraySource, mut warn: impl FnMut(String, &str)) -> bool {
     let diagnosis = &fit.diagnosis;
     let deviations = diagnosis.mean_square.sqrt();
     if let Some(cause) = diagnosis.finding() {
@@ -120,7 +127,7 @@ fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
                 "the residual is {deviations:.1} times what noise and model error allow (root mean square); {part:.0}% of it looks like {}",
                 looks_like(cause)
             ),
-            advice(cause),
+            advice(cause, source),
         );
         true
     } else if diagnosis.is_unexplained() {
@@ -137,7 +144,7 @@ fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
 }
 
 /// What a finding means for the result, the fact, and its most likely cause.
-fn describe(finding: &Finding) -> (Grade, String, &'static str) {
+fn describe(finding: &Finding, source: StraySource) -> (Grade, String, &'static str) {
     use Grade::{Distrust, Reservation};
     // Beyond this much, either way, a factor is no inaccuracy.
     let by_factor = |ratio: f64, limit: f64| {
@@ -148,14 +155,14 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         }
     };
     match *finding {
-        Finding::StrayLight { image, share } => (
+        Finding::StrayLight { image, share, .. } => (
             Reservation,
             format!(
                 "{image} has stray light: {:.1}% of its bright parts (99th percentile) where neither the lamp nor the sample sends light",
                 100.0 * share,
                 image = nth("image", image)
             ),
-            advice(Cause::StrayLight),
+            source.advice(),
         ),
         Finding::NoInformation { channel } => (
             Distrust,
@@ -317,6 +324,9 @@ const IMPOSSIBLE_BRIGHTNESS: f64 = 1.25;
 /// Factor between irradiances, either way, that no inaccuracy explains.
 const IMPOSSIBLE_SCALE: f64 = 1.5;
 
+/// Factor between images' shares of their means up to which these count as the same.
+const PROPORTIONAL: f64 = 1.5;
+
 /// What the residual looks like, by cause.
 fn looks_like(cause: Cause) -> &'static str {
     match cause {
@@ -328,12 +338,51 @@ fn looks_like(cause: Cause) -> &'static str {
     }
 }
 
-/// What to look at, by cause.
-fn advice(cause: Cause) -> &'static str {
-    match cause {
-        Cause::StrayLight => {
-            "stray light from the room or the holder, or glare of the lens; darken the one, or subtract frames taken with the lamp off, and measure the other: `rig calibrate glare`"
+/// Where stray light most likely comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum StraySource {
+    /// The lens: it is in proportion to the images' means, and no glare was measured.
+    Lens,
+    /// The bench or the lens, whose glare was not measured.
+    Either,
+    /// The bench: what the lens adds is known.
+    Bench,
+}
+
+impl StraySource {
+    /// By its shares of the means of the images that show any.
+    fn of(shares: &[f64], is_stated: bool) -> Self {
+        let [least, most] = shares
+            .iter()
+            .fold([f64::INFINITY, 0.0], |[low, high], &share| {
+                [share.min(low), share.max(high)]
+            });
+        match is_stated {
+            true => Self::Bench,
+            false if shares.len() > 1 && most < PROPORTIONAL * least => Self::Lens,
+            false => Self::Either,
         }
+    }
+
+    fn advice(self) -> &'static str {
+        match self {
+            Self::Lens => {
+                "glare of the lens, because it is in proportion to the images' means; there is no record of it (`rig calibrate glare` makes one); or stray light from the room or the holder"
+            }
+            Self::Either => {
+                "stray light from the room or the holder, or glare of the lens; darken the one, or subtract frames taken with the lamp off, and measure the other, of which there is no record: `rig calibrate glare`"
+            }
+            Self::Bench => {
+                "stray light from the room or the holder; darken them, or subtract frames taken with the lamp off"
+            }
+        }
+    }
+}
+
+/// What to look at, by cause.
+fn advice(cause: Cause, source: StraySource) -> &'static str {
+    match cause {
+        Cause::StrayLight => source.advice(),
         Cause::ShapeOrPose => {
             "pose or shape of the sample differ from the scene file's; measure its pose again"
         }
@@ -345,6 +394,27 @@ fn advice(cause: Cause) -> &'static str {
         }
         Cause::Dictionary => {
             "neither mixtures of the dictionary nor the model discrepancy describe the material; try another with --dictionary, or more lights"
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn glare_is_named_where_it_is_not_known() {
+        for (shares, is_stated, source) in [
+            (&[0.010, 0.011, 0.012][..], false, StraySource::Lens),
+            (&[0.010, 0.011, 0.012], true, StraySource::Bench),
+            (&[0.010, 0.018], false, StraySource::Either),
+            (&[0.010], false, StraySource::Either),
+            (&[], false, StraySource::Either),
+        ] {
+            let found = StraySource::of(shares, is_stated);
+            assert_eq!(found, source, "{shares:?}");
+            let names_glare = found.advice().contains("no record");
+            assert_eq!(names_glare, !is_stated, "{shares:?}");
         }
     }
 }

@@ -11,6 +11,7 @@ use super::{
     FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, POSTERIOR_FILE, PosteriorRecord,
     Verdict, check, out_of_range, tables,
 };
+use crate::brdf::discrepancy::table as discrepancy_table;
 use crate::brdf::fitted::{DISCREPANCY_FILE, WEIGHTS_FILE};
 use crate::file_system;
 use crate::outside_file::read_regular;
@@ -68,7 +69,7 @@ pub fn encode(
         files.push((CELLS_FILE.to_owned(), images.cells_csv.clone().into_bytes()));
     }
     if let Some(discrepancy) = &record.discrepancy {
-        let text = tables::discrepancy_to_csv(&discrepancy.by_channel);
+        let text = discrepancy_table::text(&discrepancy.by_channel);
         files.push((DISCREPANCY_FILE.to_owned(), text.into_bytes()));
     }
     if let Some(posterior) = &record.posterior {
@@ -269,7 +270,8 @@ pub fn parse(
     record.table = tables::table_from_csv(&path, &csv)?;
     if let Some(discrepancy) = &mut record.discrepancy {
         let (path, csv) = text(DISCREPANCY_FILE)?;
-        discrepancy.by_channel = tables::discrepancy_from_csv(&path, &csv)?;
+        discrepancy.by_channel =
+            discrepancy_table::parse(&csv).map_err(|fact| FitRecordError::Table { path, fact })?;
     }
     if let Some(posterior) = &mut record.posterior {
         let path = folder.join(POSTERIOR_FILE);

@@ -6,7 +6,6 @@ use csv::{DeserializeErrorKind, ErrorKind, ReaderBuilder, StringRecord, Trim, Wr
 use serde::de::DeserializeOwned;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
-use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::inverse::Fit;
 use crate::inverse::intervals::{self, Interval};
 use crate::shown::excerpt;
@@ -116,19 +115,6 @@ const TABLE_COLUMNS: [&str; 12] = [
     "upper_b",
     "constrained",
 ];
-/// ln of the factor, without and by cos 2φd.
-const DISCREPANCY_COLUMNS: [&str; 8] = [
-    "theta_h_deg",
-    "theta_d_deg",
-    "ln_factor_r",
-    "ln_factor_g",
-    "ln_factor_b",
-    "by_cos_2phi_r",
-    "by_cos_2phi_g",
-    "by_cos_2phi_b",
-];
-/// Of tables of before, which have no φd and fewer nodes.
-const EARLIER_DISCREPANCY_COLUMNS: usize = 5;
 const TRACE_COLUMNS: [&str; 3] = ["step", "loss", "seconds"];
 
 /// A table of comma-separated values; numbers are written so that they are read back exactly.
@@ -174,18 +160,6 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
         cells
     });
     to_csv(&TABLE_COLUMNS, rows)
-}
-
-pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
-    let rows = discrepancy::nodes().enumerate().map(|(k, node)| {
-        let mut cells = vec![exact(&node.theta_h_deg), exact(&node.theta_d_deg)];
-        for which in 0..2 {
-            let of_node = |d: &Discrepancy| exact(&d.at_node(k)[which]);
-            cells.extend(discrepancies.iter().map(of_node));
-        }
-        cells
-    });
-    to_csv(&DISCREPANCY_COLUMNS, rows)
 }
 
 pub(super) fn trace_to_csv(trace: &[TracePoint]) -> String {
@@ -315,57 +289,6 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
         });
     }
     Ok(table)
-}
-
-/// Angles, ln of the factor and its slope along cos 2φd, of R, G and B.
-type DiscrepancyRow = ([f64; 2], [f64; 3], [f64; 3]);
-
-pub(super) fn discrepancy_from_csv(
-    path: &Path,
-    csv: &str,
-) -> Result<[Discrepancy; 3], FitRecordError> {
-    let earlier = !csv
-        .lines()
-        .next()
-        .unwrap_or_default()
-        .contains(DISCREPANCY_COLUMNS[5]);
-    let (columns, nodes): (_, Vec<[f64; 2]>) = if earlier {
-        let columns = &DISCREPANCY_COLUMNS[..EARLIER_DISCREPANCY_COLUMNS];
-        (columns, Discrepancy::earlier_nodes().collect())
-    } else {
-        let nodes = discrepancy::nodes().map(|n| [n.theta_h_deg, n.theta_d_deg]);
-        (&DISCREPANCY_COLUMNS[..], nodes.collect())
-    };
-    let source = Source { path, columns };
-    let rows: Vec<(u64, DiscrepancyRow)> = if earlier {
-        let rows = source.rows::<([f64; 2], [f64; 3])>(csv)?.into_iter();
-        rows.map(|(line, (angles, even))| (line, (angles, even, [0.0; 3])))
-            .collect()
-    } else {
-        source.rows(csv)?
-    };
-    if rows.len() < nodes.len() {
-        let allowed = nodes.len().to_string();
-        return Err(out_of_range(path, "number of rows", rows.len(), &allowed));
-    }
-    let mut by_channel: [[Vec<f64>; 2]; 3] = Default::default();
-    for (k, (line, (angles, even, by_cos_2phi))) in rows.into_iter().enumerate() {
-        if nodes.get(k) != Some(&angles) {
-            let wanted = nodes
-                .get(k)
-                .map_or_else(|| "no further row".to_owned(), |[h, d]| format!("{h}, {d}"));
-            let fact = format!("{}, {} where {wanted} belongs", angles[0], angles[1]);
-            return Err(source.error(line, "theta_h_deg, theta_d_deg", fact));
-        }
-        for (values, parts) in by_channel.iter_mut().zip(even.into_iter().zip(by_cos_2phi)) {
-            values[0].push(parts.0);
-            values[1].push(parts.1);
-        }
-    }
-    Ok(by_channel.map(|[even, by_cos_2phi]| {
-        let slopes = if earlier { Vec::new() } else { by_cos_2phi };
-        Discrepancy::from_values(&[even, slopes].concat()).unwrap_or_else(Discrepancy::none)
-    }))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {
