@@ -15,7 +15,7 @@ use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};
 use super::solve::{Paths, Solved, solve};
 use super::trace::{Step, Termination};
-use super::uncertainty::PosteriorSamples;
+use super::uncertainty::{self, PosteriorSamples};
 use super::unexplained::Seen;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::{Material, Prior};
@@ -165,6 +165,11 @@ pub(super) fn fit_on_bench(
         posterior =
             averaged(posterior, of_part, options.cache.seed).map_err(ProjectionError::from)?;
     }
+    timings.time("uncertainty", || {
+        let (seed, center) = (options.cache.seed, &posterior.center);
+        let dictionary = &paths.dictionary;
+        uncertainty::draw_prior(&mut posterior.posterior_samples, dictionary, center, seed);
+    });
     let objective = paths.objective(captured, options);
     let albedo = timings.time("uncertainty", || {
         let seed = options.cache.seed;
@@ -176,6 +181,7 @@ pub(super) fn fit_on_bench(
         posterior_samples,
         material,
         discrepancy,
+        ..
     } = posterior;
 
     // Its images.
