@@ -98,10 +98,8 @@ impl Evaluator {
     /// Writes f_r of each atom, 1/sr; `values` is one per atom.
     #[inline]
     pub fn eval(&self, at: &Cosines<f32>, values: &mut [f32]) {
-        let firsts = LANES * self.ggx.len()
-            + self.beckmann.len()
-            + self.coats.len()
-            + self.constants.len();
+        let firsts =
+            LANES * self.ggx.len() + self.beckmann.len() + self.coats.len() + self.constants.len();
         match firsts.max(LANES * (1 + self.etas.len())) <= FEW {
             true => eval::<FEW>(self, at, values),
             false => eval::<MOST>(self, at, values),

@@ -11,9 +11,9 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::normal_equations::{IN_USE, Marginal};
 use super::objective::{ModelImage, Objective};
-use crate::outer_products::Squares;
 use crate::brdf::Brdf;
 use crate::brdf::discrepancy::Material;
+use crate::outer_products::Squares;
 use crate::transport::Scene;
 
 mod templates;

@@ -133,8 +133,7 @@ impl Objective<'_> {
             self.visit_cell(rows, mixture, residual_weights, pair, |value| {
                 let (w, residual) = (value.weight, value.residual);
                 let sums = &mut part.groups[value.group];
-                sums.normal
-                    .add(value.block, w, value.by_weights, residual);
+                sums.normal.add(value.block, w, value.by_weights, residual);
                 let product = residual[0] * residual[1];
                 sums.loss += 0.5 * w * product;
                 sums.unexplained += w * (product - value.variance);
