@@ -75,6 +75,7 @@ pub mod bench_priors;
 pub mod file_system;
 pub mod frames;
 pub mod least_squares;
+mod outer_products;
 pub mod outside_file;
 pub mod outside_table;
 pub mod outside_text;
@@ -86,6 +87,7 @@ pub mod simplex;
 pub mod statistics;
 pub mod units;
 pub mod whole_file;
+mod widened;
 
 pub mod brdf;
 pub mod geometry;

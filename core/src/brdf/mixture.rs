@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::dictionary::{Atom, Dictionary};
+use super::evaluator::{Evaluator, MAX_ATOMS};
 use super::ggx::{self, Cosines, Mueller};
 use super::{Brdf, BrdfError};
 
@@ -32,6 +33,8 @@ pub struct Mixture {
     weights: [Vec<f64>; 3],
     /// Atoms with any weight, for evaluation.
     used: Vec<(Atom, [f32; 3])>,
+    /// Of the same.
+    evaluator: Evaluator,
 }
 
 /// Largest deviation of a channel's weights from a sum of one.
@@ -63,7 +66,7 @@ impl Mixture {
                 return refuse(format!("the weights sum to {sum}, not 1"));
             }
         }
-        let used = (0..dictionary.len())
+        let used: Vec<(Atom, [f32; 3])> = (0..dictionary.len())
             .map(|k| {
                 (
                     dictionary.atoms()[k],
@@ -75,6 +78,7 @@ impl Mixture {
         Ok(Self {
             dictionary,
             weights,
+            evaluator: Evaluator::new(used.iter().map(|(atom, _)| atom)),
             used,
         })
     }
@@ -131,8 +135,9 @@ impl Brdf for Mixture {
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
         let mut sum = [0.0f32; 3];
         if let Some(at) = Cosines::new(to_light.to_array(), to_viewer.to_array()) {
-            for (atom, weights) in &self.used {
-                let f = atom.eval(&at);
+            let mut values = [0.0; MAX_ATOMS];
+            self.evaluator.eval(&at, &mut values);
+            for ((_, weights), f) in self.used.iter().zip(values) {
                 for (sum, weight) in sum.iter_mut().zip(weights) {
                     *sum += weight * f;
                 }

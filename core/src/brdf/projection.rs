@@ -16,6 +16,7 @@ use crate::brdf::ggx::Cosines;
 use crate::brdf::score::{self, Cell, EnvironmentError, PerChannel};
 use crate::brdf::sphere::{SphereImage, sphere_images, sphere_matrices};
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture};
+use crate::outer_products::Squares;
 use crate::simplex::{Quadratic, SimplexError};
 
 /// Azimuths of the cells a projection is fitted on (scores use MERL's 180).
@@ -167,7 +168,7 @@ impl CellMatrix {
             .enumerate()
             .map(|(chunk, values)| {
                 let mut part = Quadratic::zero(n);
-                let h = part.h.as_mut_slice();
+                let mut squares = Squares::zero(n);
                 let mut wide = vec![0.0f64; n];
                 for (k, values) in values.chunks_exact(n).enumerate() {
                     for (wide, value) in wide.iter_mut().zip(values) {
@@ -175,16 +176,14 @@ impl CellMatrix {
                     }
                     let model = x.map_or(0.0, |x| dot(&wide, x.as_slice()));
                     let (w, s, t) = row(chunk * CHUNK + k, model);
-                    let (ws2, wst) = (w * s * s, w * s * t);
-                    for i in 0..n {
-                        let scaled = ws2 * wide[i];
-                        part.g[i] += wst * wide[i];
-                        for (h, a) in h[i * n..i * n + i + 1].iter_mut().zip(&wide) {
-                            *h += scaled * a;
-                        }
+                    let wst = w * s * t;
+                    squares.add(w * s * s, &wide);
+                    for (g, value) in part.g.iter_mut().zip(&wide) {
+                        *g += wst * value;
                     }
                     part.c += 0.5 * w * t * t;
                 }
+                part.h = squares.matrix();
                 part
             })
             .collect();
@@ -192,7 +191,6 @@ impl CellMatrix {
         for part in &parts {
             sum.add_scaled(1.0, part);
         }
-        sum.h.fill_lower_triangle_with_upper_triangle();
         sum
     }
 

@@ -87,6 +87,7 @@ pub(super) fn averaged(
         posterior_samples: samples.collect(),
         material,
         discrepancy,
+        center: whole.center,
     })
 }
 
@@ -112,7 +113,6 @@ fn in_whole(part: Posterior, dictionary: &Arc<Dictionary>) -> Result<Posterior, 
         .into_iter()
         .map(|group| PosteriorSamples {
             posterior: samples(group.posterior),
-            prior: samples(group.prior),
             budget: None,
             ..group
         });
@@ -123,6 +123,7 @@ fn in_whole(part: Posterior, dictionary: &Arc<Dictionary>) -> Result<Posterior, 
             discrepancies,
         },
         discrepancy: part.discrepancy,
+        center: part.center,
     })
 }
 
@@ -186,6 +187,7 @@ mod tests {
             posterior_samples: vec![group(), group(), group()],
             material: Material::new(mixture, std::slice::from_ref(&g)),
             discrepancy: 1.0,
+            center: Vec::new(),
         }
     }
 

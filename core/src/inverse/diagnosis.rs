@@ -9,10 +9,11 @@
 use glam::DVec2;
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::normal_equations::{IN_USE, Marginal, add_outer};
+use super::normal_equations::{IN_USE, Marginal};
 use super::objective::{ModelImage, Objective};
 use crate::brdf::Brdf;
 use crate::brdf::discrepancy::Material;
+use crate::outer_products::Squares;
 use crate::transport::Scene;
 
 mod templates;
@@ -184,9 +185,9 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
     let columns: Vec<usize> = active.iter().map(|a| a.len() + templates + 1).collect();
     let none = || -> Vec<_> {
         let columns = (0..3).map(|c| columns[group(c)]);
-        columns.map(|n| DMatrix::zeros(n, n)).collect()
+        columns.map(Squares::zero).collect()
     };
-    let mut grams: Vec<DMatrix<f64>> = objective.accumulate(
+    let grams: Vec<Squares> = objective.accumulate(
         mixture,
         &objective.inverse_variances(model),
         None,
@@ -214,23 +215,21 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
             };
             row.iter_mut().for_each(|v| *v /= sigma);
             row.push(z.clamp(-MAX_DEVIATION, MAX_DEVIATION));
-            add_outer(&mut grams[c], &row, 1.0);
+            grams[c].add(1.0, &row);
         },
         |total, part| {
-            for (sum, part) in total.iter_mut().zip(part) {
-                *sum += part;
-            }
+            let both = total.iter_mut().zip(part);
+            both.for_each(|(sum, part)| sum.join(part));
         },
     );
     let mut explained = [0.0; 5];
-    for (c, gram) in grams.iter_mut().enumerate() {
+    for (c, gram) in grams.into_iter().map(Squares::matrix).enumerate() {
         let group = group(c);
-        gram.fill_upper_triangle_with_lower_triangle();
         let first = active[group].len();
         let mut from = first;
         for (explained, &size) in explained.iter_mut().zip(&sizes) {
             let template: Vec<usize> = (from..from + size).collect();
-            *explained += accounted_for(gram, first, &template, columns[group] - 1) - size as f64;
+            *explained += accounted_for(&gram, first, &template, columns[group] - 1) - size as f64;
             from += size;
         }
     }

@@ -51,10 +51,11 @@ pub struct Eliminated {
     free: DMatrix<f64>,
     /// Deviation of each a priori.
     amplitude: f64,
-    /// Variance that the equations grant the images over what their weights say.
-    noise_inflation: f64,
     /// (F_zz + Λ)⁻¹.
     covariance: DMatrix<f64>,
+    /// Root of the same, times the variance that the equations grant the images over what their
+    /// weights say.
+    root: DMatrix<f64>,
     /// F_xz.
     coupling: DMatrix<f64>,
     /// Gᵀ W r around no discrepancy.
@@ -145,6 +146,7 @@ impl Eliminated {
             noise_inflation *= 2.0;
         };
         log::debug!("the discrepancy's noise is inflated by {noise_inflation}");
+        let m = of_modes.len();
         let [weights, coupling, _] = joint.parts();
         let marginal = Marginal::new(&weights, &coupling, &covariance);
         Self {
@@ -154,7 +156,8 @@ impl Eliminated {
             prior: prior.clone(),
             free,
             amplitude,
-            noise_inflation,
+            root: Cholesky::new(&covariance * noise_inflation)
+                .map_or_else(|| DMatrix::zeros(m, m), |root| root.l()),
             covariance,
             coupling,
             score: joint.score.rows_range(joint.weights..).into_owned(),
@@ -180,10 +183,8 @@ impl Eliminated {
     /// A draw of the discrepancy there.
     pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Discrepancy {
         let mut z = self.modes(step);
-        if let Some(root) = Cholesky::new(&self.covariance * self.noise_inflation) {
-            let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
-            z += root.l() * normal;
-        }
+        let normal = DVector::from_fn(z.len(), |_, _| numbers.normal());
+        z += &self.root * normal;
         self.discrepancy(&z)
     }
 }

@@ -13,9 +13,9 @@ use super::nuisance::system::BenchLinearisation;
 use super::objective::DiscrepancyModel;
 use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};
-use super::solve::{Paths, Solved, solve};
+use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
-use super::uncertainty::PosteriorSamples;
+use super::uncertainty::{self, PosteriorSamples};
 use super::unexplained::Seen;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::{Material, Prior};
@@ -113,7 +113,7 @@ pub fn fit(
 
 /// [`fit`]; `progress` receives its phases, without a number of steps. Direct reflection,
 /// paths and optimisation come twice: a first solution by fewer paths guides those of the
-/// second.
+/// second. Where two estimates are averaged, optimisation comes once more each time.
 pub fn fit_with_progress(
     scene: &Scene,
     captured: &Captured,
@@ -139,32 +139,63 @@ pub(super) fn fit_on_bench(
     progress: &dyn Progress,
 ) -> Result<Fit, FitError> {
     check_count(scene, captured.images.len())?;
-    let find = |dictionary: Dictionary| {
-        let dictionary = Arc::new(dictionary);
-        find(scene, captured, &dictionary, options, bench, progress)
+    // An estimate by all atoms, and maybe one by the first of them, both on the same paths, which a
+    // first solution guides.
+    let dictionaries: Vec<_> = std::iter::once(dictionary.clone())
+        .chain(options.second_estimate(dictionary))
+        .map(Arc::new)
+        .collect();
+    let mut options = options.clone();
+    let first = match options.adapt_paths && options.optimizer != Optimizer::SingleBounce {
+        true => preliminary(scene, captured, &dictionaries, &options, progress)?,
+        false => Vec::new(),
     };
-
-    // The estimate, or the average of two.
-    let part = match options.second_estimate(dictionary) {
-        Some(part) => {
-            let Found {
-                posterior, solved, ..
-            } = find(part)?;
-            Some((posterior, solved.solution.timings))
-        }
-        None => None,
-    };
-    let Found {
-        paths,
-        solved,
-        mut posterior,
-    } = find(dictionary.clone())?;
-    let mut timings = solved.solution.timings;
-    if let Some((of_part, of_part_timings)) = part {
-        timings.join(&of_part_timings);
-        posterior =
-            averaged(posterior, of_part, options.cache.seed).map_err(ProjectionError::from)?;
+    if let Some(whole) = first.first()
+        && let Ok(mixture) = Mixture::new(dictionaries[0].clone(), whole.weights.clone())
+    {
+        options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
     }
+    let (cells, options) = (&captured.cells, &options);
+    let paths = Paths::trace(
+        scene,
+        cells,
+        &dictionaries[0],
+        first.first(),
+        options,
+        progress,
+    )?;
+    let find = |(k, dictionary): (usize, &Arc<Dictionary>)| {
+        let paths = paths.of(dictionary);
+        find(
+            scene,
+            captured,
+            &paths,
+            first.get(k),
+            options,
+            bench,
+            progress,
+        )
+    };
+    let found: Result<Vec<_>, FitError> = dictionaries.iter().enumerate().map(find).collect();
+    let mut found = found?.into_iter();
+    let Some((solved, mut posterior)) = found.next() else {
+        unreachable!("one dictionary at least");
+    };
+    let mut timings = solved.solution.timings;
+    if let Some((solved_by_part, of_part)) = found.next() {
+        timings.join(&solved_by_part.solution.timings);
+        let seed = options.cache.seed;
+        posterior = averaged(posterior, of_part, seed).map_err(ProjectionError::from)?;
+    }
+    timings.time("uncertainty", || {
+        let (seed, center) = (options.cache.seed, &posterior.center);
+        uncertainty::draw_prior(
+            &mut posterior.posterior_samples,
+            &dictionaries[0],
+            center,
+            seed,
+        );
+    });
     let objective = paths.objective(captured, options);
     let albedo = timings.time("uncertainty", || {
         let seed = options.cache.seed;
@@ -176,6 +207,7 @@ pub(super) fn fit_on_bench(
         posterior_samples,
         material,
         discrepancy,
+        ..
     } = posterior;
 
     // Its images.
@@ -245,55 +277,45 @@ pub(super) fn fit_on_bench(
     })
 }
 
-/// An estimate by one dictionary, with the paths that it was found on.
-struct Found {
-    paths: Paths,
-    solved: Solved,
-    posterior: Posterior,
+/// First solutions by fewer paths, one by each dictionary: the first and parts of it.
+fn preliminary(
+    scene: &Scene,
+    captured: &Captured,
+    dictionaries: &[Arc<Dictionary>],
+    options: &FitOptions,
+    progress: &dyn Progress,
+) -> Result<Vec<Solution>, FitError> {
+    let mut quick = options.clone();
+    quick.cache.samples_per_cell = (options.cache.samples_per_cell / PRELIMINARY_DIVISOR).max(2);
+    let (cells, whole) = (&captured.cells, &dictionaries[0]);
+    let paths = Paths::trace(scene, cells, whole, None, &quick, progress)?;
+    let solution = |dictionary| {
+        let paths = paths.of(dictionary);
+        let objective = paths.objective(captured, &quick);
+        Ok(solve(&paths, &objective, None, &quick, progress)?.solution)
+    };
+    dictionaries.iter().map(solution).collect()
 }
 
-/// Estimates the material: a first solution by fewer paths guides those of the second.
+/// Estimates the material by the dictionary of these paths, from a first solution if there is one.
 fn find(
     scene: &Scene,
     captured: &Captured,
-    dictionary: &Arc<Dictionary>,
+    paths: &Paths,
+    first: Option<&Solution>,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     progress: &dyn Progress,
-) -> Result<Found, FitError> {
-    let cells = &captured.cells;
-    let mut options = options.clone();
-    let mut first = None;
-    if options.adapt_paths && options.optimizer != Optimizer::SingleBounce {
-        let mut quick = options.clone();
-        quick.cache.samples_per_cell =
-            (options.cache.samples_per_cell / PRELIMINARY_DIVISOR).max(2);
-        let solution = {
-            // Its paths are gone before the others are traced.
-            let paths = Paths::trace(scene, cells, dictionary, None, &quick, progress)?;
-            let objective = paths.objective(captured, &quick);
-            solve(&paths, &objective, None, &quick, progress)?.solution
-        };
-        if let Ok(mixture) = Mixture::new(dictionary.clone(), solution.weights.clone()) {
-            options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
-        }
-        first = Some(solution);
-    }
-    let first = first.as_ref();
-    let paths = Paths::trace(scene, cells, dictionary, first, &options, progress)?;
-    let objective = paths.objective(captured, &options);
-    let mut solved = solve(&paths, &objective, first, &options, progress)?;
+) -> Result<(Solved, Posterior), FitError> {
+    let objective = paths.objective(captured, options);
+    let mut solved = solve(paths, &objective, first, options, progress)?;
     progress.begin("uncertainty", None);
     let mut timings = std::mem::take(&mut solved.solution.timings);
     let posterior = timings.time("uncertainty", || {
-        posterior(scene, &paths, &objective, &solved, &options, bench)
+        posterior(scene, paths, &objective, &solved, options, bench)
     })?;
     solved.solution.timings = timings;
-    Ok(Found {
-        paths,
-        solved,
-        posterior,
-    })
+    Ok((solved, posterior))
 }
 
 /// Weight of the atom that reflects nothing, per channel.

@@ -19,13 +19,14 @@ use std::sync::Arc;
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::normal_equations::{above_noise, add_product};
+use super::normal_equations::above_noise;
 use super::objective::{Channels, ModelImage, Objective};
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::score::cells;
 use crate::cells::{Captured, CellImage, CellOptions, Grid, choose};
+use crate::outer_products::Products;
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};
@@ -406,25 +407,18 @@ fn information(
     let model = objective.modelled(mixture);
     let residual_weights: Vec<_> = model.iter().enumerate().map(of_light).collect();
     let n = weights.len();
-    let mut all = objective.accumulate(
+    let all = objective.accumulate(
         mixture,
         &residual_weights,
         None,
-        || vec![DMatrix::zeros(n, n); objective.lights()],
-        |sums, value| {
-            let [a, b] = value.by_weights;
-            add_product(&mut sums[value.light], a, b, value.weight);
-        },
+        || vec![Products::zero(n); objective.lights()],
+        |sums, value| sums[value.light].add(value.weight, value.by_weights),
         |total, part| {
-            for (sum, part) in total.iter_mut().zip(part) {
-                *sum += part;
-            }
+            let both = total.iter_mut().zip(part);
+            both.for_each(|(sum, part)| sum.join(part));
         },
     );
-    for sum in &mut all {
-        sum.fill_upper_triangle_with_lower_triangle();
-    }
-    all
+    all.into_iter().map(Products::matrix).collect()
 }
 
 #[cfg(test)]

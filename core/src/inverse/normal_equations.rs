@@ -12,6 +12,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
+use crate::outer_products::{Products, Squares};
+
 /// Standard deviation of a weight before any image where a Gaussian prior stands for that of
 /// [`super::sparse`]. That prior's mean variance of a weight, five of 26 to 42 atoms in use, is
 /// as large; it also keeps the information invertible where atoms are alike.
@@ -73,24 +75,30 @@ impl Scores {
 
 /// Normal equations of K unknowns: sums over compared values whose factors come from
 /// independent halves of the paths, so that noise in neither counts as information.
-#[derive(Clone, Debug)]
 pub(super) struct NormalEquations {
-    /// sym(J_Aᵀ W J_B), K × K; the lower triangle until [`Self::complete`].
+    /// sym(J_Aᵀ W J_B), K × K.
     pub information: DMatrix<f64>,
     /// Jᵀ W J with J the mean of both halves, K × K: the information and the noise of J.
     pub full: DMatrix<f64>,
     /// Jᵀ W r.
     pub scores: Scores,
+}
+
+/// The same while values are added.
+pub(super) struct NormalSums {
+    information: Products,
+    full: Squares,
+    scores: Scores,
     /// Mean of a row's halves.
     row_mean: Vec<f64>,
 }
 
-impl NormalEquations {
+impl NormalSums {
     /// Sums over nothing, of `unknowns`.
     pub fn zero(unknowns: usize) -> Self {
         Self {
-            information: DMatrix::zeros(unknowns, unknowns),
-            full: DMatrix::zeros(unknowns, unknowns),
+            information: Products::zero(unknowns),
+            full: Squares::zero(unknowns),
             scores: Scores::zero(unknowns),
             row_mean: vec![0.0; unknowns],
         }
@@ -102,53 +110,24 @@ impl NormalEquations {
         for (mean, (a, b)) in self.row_mean.iter_mut().zip(a.iter().zip(b)) {
             *mean = 0.5 * (a + b);
         }
-        add_outer(&mut self.full, &self.row_mean, weight);
-        add_product(&mut self.information, a, b, weight);
+        self.full.add(weight, &self.row_mean);
+        self.information.add(weight, rows);
         self.scores.add(block, weight, rows, residual);
     }
 
     /// Adds other sums of as many unknowns.
-    pub fn join(&mut self, other: &Self) {
-        self.information += &other.information;
-        self.full += &other.full;
+    pub fn join(&mut self, other: Self) {
+        self.information.join(other.information);
+        self.full.join(other.full);
         self.scores.join(&other.scores);
     }
 
-    /// Completes the symmetric matrices after the last value.
-    pub fn complete(mut self) -> Self {
-        self.information.fill_upper_triangle_with_lower_triangle();
-        self.full.fill_upper_triangle_with_lower_triangle();
-        self
-    }
-}
-
-/// Lower triangle of `h += w · v vᵀ`.
-pub(super) fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
-    let n = v.len();
-    let data = h.as_mut_slice();
-    for j in 0..n {
-        let scale = w * v[j];
-        if scale != 0.0 {
-            let column = &mut data[j * n + j..(j + 1) * n];
-            column
-                .iter_mut()
-                .zip(&v[j..])
-                .for_each(|(h, &x)| *h += scale * x);
-        }
-    }
-}
-
-/// Lower triangle of `h += w · ½ (a bᵀ + b aᵀ)`.
-pub(super) fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
-    let n = a.len();
-    let data = h.as_mut_slice();
-    for j in 0..n {
-        let (wa, wb) = (0.5 * w * a[j], 0.5 * w * b[j]);
-        if wa != 0.0 || wb != 0.0 {
-            let column = &mut data[j * n + j..(j + 1) * n];
-            for (h, (&x, &y)) in column.iter_mut().zip(a[j..].iter().zip(&b[j..])) {
-                *h += wa * y + wb * x;
-            }
+    /// After the last value.
+    pub fn equations(self) -> NormalEquations {
+        NormalEquations {
+            information: self.information.matrix(),
+            full: self.full.matrix(),
+            scores: self.scores,
         }
     }
 }
@@ -306,7 +285,7 @@ mod tests {
     fn independent_halves_have_no_bias() {
         use crate::random::{Purpose, stream};
         let mut numbers = stream(2, Purpose::Experiment, 0, 0, 0);
-        let mut sums = NormalEquations::zero(1);
+        let mut sums = NormalSums::zero(1);
         const VALUES: usize = 20_000;
         for k in 0..VALUES {
             let rows = [0, 1].map(|_| [1.0 + numbers.normal()]);
@@ -314,7 +293,7 @@ mod tests {
             sums.add(k % 7, 0.5, [&rows[0], &rows[1]], residual);
         }
         let count = VALUES as f64;
-        let sums = sums.complete();
+        let sums = sums.equations();
         assert!((sums.information[(0, 0)] / (0.5 * count) - 1.0).abs() < 0.05);
         assert!((sums.full[(0, 0)] / (0.5 * count) - 1.5).abs() < 0.05);
         assert!((sums.scores.total[0] / (0.5 * count) - 0.3).abs() < 0.05);

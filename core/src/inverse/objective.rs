@@ -14,8 +14,8 @@ use nalgebra::DVector;
 
 use std::sync::Arc;
 
-use super::normal_equations::add_outer;
 use crate::cells::Captured;
+use crate::outer_products::Squares;
 use crate::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
@@ -501,32 +501,28 @@ impl<'a> Objective<'a> {
     /// Eq. (13) of the paper with the rendering under light m (docs/adr/0002).
     pub fn single_bounce(&self, residual_weights: &ResidualWeights) -> Vec<Quadratic> {
         let n = self.atoms();
+        let mut squares = vec![Squares::zero(n); self.groups()];
         let mut quadratics = vec![Quadratic::zero(n); self.groups()];
         for (light, weights) in residual_weights.iter().enumerate() {
             for (cell, weights) in weights.iter().enumerate() {
-                let row: Vec<f64> = self
-                    .direct
-                    .row(cell, light)
-                    .iter()
-                    .map(|&v| f64::from(v))
-                    .collect();
+                let row = self.direct.row(cell, light).iter();
+                let row: Vec<f64> = row.map(|&v| f64::from(v)).collect();
                 for (c, &w) in weights.iter().enumerate() {
                     if w > 0.0 {
                         let target = self.values.target[light][cell][c];
-                        let sum = &mut quadratics[self.channels.group(c)];
-                        add_outer(&mut sum.h, &row, w);
-                        sum.g
-                            .iter_mut()
-                            .zip(&row)
-                            .for_each(|(g, &v)| *g += w * v * target);
+                        let group = self.channels.group(c);
+                        squares[group].add(w, &row);
+                        let sum = &mut quadratics[group];
+                        let g = sum.g.iter_mut().zip(&row);
+                        g.for_each(|(g, &v)| *g += w * v * target);
                         sum.c += 0.5 * w * target * target;
                     }
                 }
             }
         }
-        quadratics
-            .iter_mut()
-            .for_each(|q| q.h.fill_upper_triangle_with_lower_triangle());
+        for (quadratic, squares) in quadratics.iter_mut().zip(squares) {
+            quadratic.h = squares.matrix();
+        }
         quadratics
     }
 

@@ -33,6 +33,8 @@ pub(super) struct Posterior {
     pub material: Material,
     /// Deviation of its discrepancy in units of what measured materials have; 0 without one.
     pub discrepancy: f64,
+    /// Weights per channel group around which was sampled.
+    pub center: Vec<DVector<f64>>,
 }
 
 impl Posterior {
@@ -112,6 +114,7 @@ pub(super) fn posterior(
             )),
             material: Material::from(material(mixture)?),
             discrepancy: 0.0,
+            center: mixture.clone(),
         });
     }
     let fitted = material(mixture)?;
@@ -213,6 +216,7 @@ pub(super) fn posterior(
         posterior_samples: with_excess_errors(posterior_samples),
         material,
         discrepancy: amplitude,
+        center,
     })
 }
 

@@ -78,6 +78,7 @@ impl Timings {
 }
 
 /// What light does in the scene: the linear part and the paths.
+#[derive(Clone)]
 pub(super) struct Paths {
     pub dictionary: Arc<Dictionary>,
     pub direct: Arc<DirectMatrix>,
@@ -124,6 +125,21 @@ impl Paths {
             guide,
             timings,
         })
+    }
+
+    /// The same paths for a dictionary of the first atoms, or of all.
+    pub fn of(&self, dictionary: &Arc<Dictionary>) -> Self {
+        if Arc::ptr_eq(&self.dictionary, dictionary) {
+            return self.clone();
+        }
+        Self {
+            dictionary: dictionary.clone(),
+            direct: Arc::new(self.direct.of_first(dictionary.len())),
+            cache: self.cache.of_first(dictionary),
+            guide: self.guide.clone(),
+            // Those of all atoms have the time.
+            timings: Timings::default(),
+        }
     }
 
     /// Compares the images with the light that these paths carry.

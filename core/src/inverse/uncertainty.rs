@@ -69,7 +69,8 @@ pub struct Adds<'a> {
     pub discrepancy: &'a [Eliminated],
 }
 
-/// Draws `count` weights for each channel group around `mixture`.
+/// Draws `count` weights for each channel group around `mixture`; none of the prior
+/// ([`draw_prior`]).
 pub fn draw(
     dictionary: &Dictionary,
     mixture: &[DVector<f64>],
@@ -83,6 +84,48 @@ pub fn draw(
         .into_par_iter()
         .map(|group| sample_group(&mixture[group], &prior, pass, adds, group, count, seed))
         .collect()
+}
+
+/// Draws as many weights from the prior as each channel group has from its posterior, by chains
+/// that begin around `mixture`.
+pub fn draw_prior(
+    posterior_samples: &mut [PosteriorSamples],
+    dictionary: &Dictionary,
+    mixture: &[DVector<f64>],
+    seed: u64,
+) {
+    let n = dictionary.len();
+    let slope = prior_slope(dictionary);
+    let groups = posterior_samples.par_iter_mut().enumerate();
+    groups.for_each(|(group, samples)| {
+        let (flat, count) = (DMatrix::zeros(n, n), samples.posterior.len());
+        samples.prior = chain(
+            flat,
+            slope.clone(),
+            &mixture[group],
+            count,
+            seed,
+            [group, 1],
+        );
+    });
+}
+
+/// `count` samples of a Gaussian likelihood and the prior on the simplex, by the numbers of a
+/// channel group for a purpose.
+fn chain(
+    h: DMatrix<f64>,
+    b: DVector<f64>,
+    start: &DVector<f64>,
+    count: usize,
+    seed: u64,
+    [group, purpose]: [usize; 2],
+) -> Vec<DVector<f64>> {
+    if count == 0 {
+        return Vec::new();
+    }
+    let mut numbers = stream(seed, Purpose::Posterior, group as u64, purpose as u64, 0);
+    let expected = EXPECTED_ATOMS.min(0.5 * b.len() as f64);
+    SparsePosterior::new(h, b, expected).draw(start, count, STEPS, &mut numbers)
 }
 
 /// Slope of the log prior density along each weight, in addition to the prior of [`super::sparse`].
@@ -103,22 +146,13 @@ fn sample_group(
     count: usize,
     seed: u64,
 ) -> PosteriorSamples {
-    let n = mixture.len();
-    let chain = |h, b, purpose| {
-        if count == 0 {
-            return Vec::new();
-        }
-        let mut numbers = stream(seed, Purpose::Posterior, group as u64, purpose, 0);
-        let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
-        SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
-    };
     let Likelihood {
         h,
         b,
         informed,
         budget,
     } = adjusted_likelihood(mixture, pass, adds, group);
-    let posterior = chain(h, b + prior, 0);
+    let posterior = chain(h, b + prior, mixture, count, seed, [group, 0]);
     let mut numbers = stream(seed, Purpose::Posterior, group as u64, 2, 0);
     let discrepancies = adds
         .discrepancy
@@ -130,7 +164,7 @@ fn sample_group(
                 .collect()
         });
     PosteriorSamples {
-        prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
+        prior: Vec::new(),
         excess_error: 0.0,
         informed,
         scale_deviation: 0.0,

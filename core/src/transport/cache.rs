@@ -150,9 +150,10 @@ pub enum Records {
 /// assert!(indirect(0.8) > 4.0 * indirect(0.4));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Clone)]
 pub struct Cache {
     /// The records.
-    pub records: Records,
+    pub records: Arc<Records>,
     /// Lane layout of the dictionary.
     pub atoms: LaneAtoms,
     /// Camera paths per cell in each half.
@@ -228,7 +229,7 @@ impl Cache {
             }
         };
         Ok(Self {
-            records,
+            records: Arc::new(records),
             atoms,
             samples_per_half,
             lights,
@@ -238,13 +239,22 @@ impl Cache {
         })
     }
 
+    /// The same paths for a dictionary of the first atoms of theirs.
+    pub fn of_first(&self, dictionary: &Dictionary) -> Self {
+        Self {
+            // Atoms have their lanes in the order of the dictionary.
+            atoms: LaneAtoms::new(dictionary),
+            ..self.clone()
+        }
+    }
+
     /// Number of records and the bytes they take.
     pub fn size(&self) -> (usize, usize) {
         fn count<const B: usize>(chunks: &[Chunk<B>]) -> (usize, usize) {
             let records = chunks.iter().map(|c| c.records.len()).sum();
             (records, records * size_of::<Record<B>>())
         }
-        match &self.records {
+        match &*self.records {
             Records::Blocks1(c) => count(c),
             Records::Blocks2(c) => count(c),
             Records::Blocks3(c) => count(c),

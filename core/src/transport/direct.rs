@@ -161,6 +161,18 @@ impl DirectMatrix {
         }
     }
 
+    /// The same for the first atoms alone.
+    pub fn of_first(&self, atoms: usize) -> Self {
+        let rows = self.values.chunks_exact(self.atoms);
+        Self {
+            values: rows.flat_map(|row| &row[..atoms]).copied().collect(),
+            coverage: self.coverage.clone(),
+            lit: self.lit.clone(),
+            lights: self.lights,
+            atoms,
+        }
+    }
+
     /// Fraction of a cell's seen footprint that a lamp reaches, 0..=1: between the two
     /// lies the edge of a shadow.
     pub fn lit(&self, cell: usize, light: usize) -> f32 {

@@ -165,7 +165,7 @@ impl Cache {
                 }
             };
         }
-        match &self.records {
+        match &*self.records {
             Records::Blocks1(c) => by_channels!(c, 1),
             Records::Blocks2(c) => by_channels!(c, 2),
             Records::Blocks3(c) => by_channels!(c, 3),
@@ -694,7 +694,7 @@ mod tests {
             let mut black = vec![0.0; n];
             black[n - 1] = 1.0;
             for weights in [vec![1.0 / n as f64; n], single, black] {
-                let walk = |w: &[f64]| match &cache.records {
+                let walk = |w: &[f64]| match &*cache.records {
                     Records::Blocks3(c) => radiance(c, &cache.atoms, w, 2),
                     Records::Blocks5(c) => radiance(c, &cache.atoms, w, 2),
                     _ => panic!("unexpected layout"),

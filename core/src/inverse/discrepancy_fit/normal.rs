@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::LinearizationPoint;
-use crate::inverse::normal_equations::{NormalEquations, Scores, Signal};
+use crate::inverse::normal_equations::{NormalEquations, NormalSums, Scores, Signal};
 use crate::inverse::objective::Value;
 
 /// Normal equations of one channel group: N weights x, then the M free modes z.
@@ -72,11 +72,11 @@ pub(super) fn equations(at: &LinearizationPoint<'_>, free: &[DMatrix<f64>]) -> V
     let k = at.objective.atoms() + at.prior.modes().ncols();
     let equations = over_values(
         at,
-        || NormalEquations::zero(k),
+        || NormalSums::zero(k),
         |sums, value, rows| sums.add(value.block, value.weight, rows, value.residual),
-        |total, part| total.join(&part),
+        |total, part| total.join(part),
     );
-    let equations = equations.into_iter().map(NormalEquations::complete);
+    let equations = equations.into_iter().map(NormalSums::equations);
     let groups = equations.zip(free);
     groups
         .map(|(equations, free)| Joint::new(&equations, free, at.objective.atoms()))

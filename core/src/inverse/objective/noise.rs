@@ -4,7 +4,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{ModelImage, Objective, ResidualWeights};
-use crate::inverse::normal_equations::{add_product, with_eigenvalues};
+use crate::inverse::normal_equations::with_eigenvalues;
+use crate::outer_products::Products;
 
 /// Covariance of the score Jᵀ W r per channel group by what makes the residual scatter, N × N each.
 #[derive(Clone, Debug)]
@@ -70,34 +71,28 @@ impl Objective<'_> {
         model: &[ModelImage],
     ) -> Vec<ScoreNoise> {
         let (n, groups) = (self.atoms(), self.groups());
-        let none = || ScoreNoise {
-            captured: DMatrix::zeros(n, n),
-            rendered: DMatrix::zeros(n, n),
-        };
-        let mut total = self.accumulate(
+        let none = || vec![[Products::zero(n), Products::zero(n)]; groups];
+        let total = self.accumulate(
             mixture,
             residual_weights,
             None,
-            || vec![none(); groups],
+            none,
             |sums, value| {
-                let [a, b] = value.by_weights;
                 let square = value.weight * value.weight;
                 let rendered = model[value.light][value.cell][value.channel].variance;
-                let sum = &mut sums[value.group];
-                add_product(&mut sum.captured, a, b, square * value.variance);
-                add_product(&mut sum.rendered, a, b, square * rendered);
+                let [of_capture, of_render] = &mut sums[value.group];
+                of_capture.add(square * value.variance, value.by_weights);
+                of_render.add(square * rendered, value.by_weights);
             },
             |total, part| {
-                for (sum, part) in total.iter_mut().zip(part) {
-                    sum.captured += part.captured;
-                    sum.rendered += part.rendered;
-                }
+                let total = total.iter_mut().flatten();
+                let both = total.zip(part.into_iter().flatten());
+                both.for_each(|(sum, part)| sum.join(part));
             },
         );
-        for sum in &mut total {
-            sum.captured.fill_upper_triangle_with_lower_triangle();
-            sum.rendered.fill_upper_triangle_with_lower_triangle();
-        }
+        let total = total.into_iter().map(|sums| sums.map(Products::matrix));
         total
+            .map(|[captured, rendered]| ScoreNoise { captured, rendered })
+            .collect()
     }
 }

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::stray_light::ShadowSums;
 use super::{ModelImage, Modelled, Objective, ResidualWeights};
-use crate::inverse::normal_equations::NormalEquations;
+use crate::inverse::normal_equations::NormalSums;
 use crate::simplex::Quadratic;
 use crate::transport::CellRows;
 use crate::transport::points::VarianceReduction;
@@ -133,8 +133,7 @@ impl Objective<'_> {
             self.visit_cell(rows, mixture, residual_weights, pair, |value| {
                 let (w, residual) = (value.weight, value.residual);
                 let sums = &mut part.groups[value.group];
-                sums.equations
-                    .add(value.block, w, value.by_weights, residual);
+                sums.normal.add(value.block, w, value.by_weights, residual);
                 let product = residual[0] * residual[1];
                 sums.loss += 0.5 * w * product;
                 sums.unexplained += w * (product - value.variance);
@@ -193,8 +192,8 @@ impl Objective<'_> {
         let mut stray_light = vec![[0.0; 3]; self.lights()];
         let mut model = vec![Vec::with_capacity(self.cells.len()); self.lights()];
         for part in parts {
-            for (total, part) in total.groups.iter_mut().zip(&part.groups) {
-                total.equations.join(&part.equations);
+            for (total, part) in total.groups.iter_mut().zip(part.groups) {
+                total.normal.join(part.normal);
                 total.loss += part.loss;
                 total.noise.g += &part.noise.g;
                 total.noise.c += part.noise.c;
@@ -242,7 +241,7 @@ impl Objective<'_> {
             block_scores: Vec::with_capacity(groups),
         };
         for sums in total.groups {
-            let equations = sums.equations.complete();
+            let equations = sums.normal.equations();
             pass.quadratics.push(Quadratic {
                 h: equations.full,
                 g: equations.scores.total,
@@ -271,7 +270,7 @@ struct Part {
 
 /// Sums over the values of a channel group.
 struct Sums {
-    equations: NormalEquations,
+    normal: NormalSums,
     loss: f64,
     noise: Noise,
     unexplained: f64,
@@ -281,7 +280,7 @@ struct Sums {
 impl Part {
     fn new(n: usize, groups: usize, lights: usize) -> Self {
         let none = |_| Sums {
-            equations: NormalEquations::zero(n),
+            normal: NormalSums::zero(n),
             loss: 0.0,
             noise: Noise::zero(n),
             unexplained: 0.0,

@@ -7,7 +7,7 @@ use crate::progress::Progress;
 
 /// Phases of one estimate of the material, as they are reported, and the part of its time that is
 /// over when each begins; a first, quick solution comes before the one on all paths.
-const ESTIMATE: [(&str, f64); 7] = [
+const ONE_ESTIMATE: [(&str, f64); 7] = [
     ("direct reflection", 0.0),
     ("tracing paths", 0.07),
     ("optimising", 0.16),
@@ -16,8 +16,19 @@ const ESTIMATE: [(&str, f64); 7] = [
     ("optimising", 0.68),
     ("uncertainty", 0.84),
 ];
-/// Of two estimates, the part of their time that the first takes, by fewer atoms.
-const FIRST_OF_TWO: f64 = 0.4;
+/// Of two estimates, on the same paths.
+const TWO_ESTIMATES: [(&str, f64); 10] = [
+    ("direct reflection", 0.0),
+    ("tracing paths", 0.06),
+    ("optimising", 0.13),
+    ("optimising", 0.17),
+    ("direct reflection", 0.2),
+    ("tracing paths", 0.2),
+    ("optimising", 0.45),
+    ("uncertainty", 0.6),
+    ("optimising", 0.75),
+    ("uncertainty", 0.87),
+];
 /// Phases after all estimates, and the part of the fit's time that is over when each begins.
 const CLOSING: [(&str, f64); 3] = [
     ("diagnosis", 0.88),
@@ -65,14 +76,13 @@ impl<'a> Course<'a> {
 impl Reached {
     fn new(two_estimates: bool, refines_bench: bool) -> Self {
         let [(_, estimated), ..] = CLOSING;
-        let shares: &[f64] = match two_estimates {
-            true => &[0.0, FIRST_OF_TWO, 1.0],
-            false => &[0.0, 1.0],
+        let estimates = match two_estimates {
+            true => &TWO_ESTIMATES[..],
+            false => &ONE_ESTIMATE[..],
         };
-        let estimates = shares.windows(2).flat_map(|share| {
-            let (from, to) = (share[0], share[1]);
-            ESTIMATE.map(|(phase, over)| (phase, estimated * (from + (to - from) * over)))
-        });
+        let estimates = estimates
+            .iter()
+            .map(|(phase, over)| (*phase, estimated * over));
         let rounds = if refines_bench { ROUNDS_PART } else { 0.0 };
         let phases = estimates.chain(CLOSING);
         Self {
@@ -134,16 +144,20 @@ mod tests {
     /// Phases come twice and more often; the part that is over grows with each all the same.
     #[test]
     fn the_part_that_is_over_grows() {
-        let estimate = ESTIMATE.map(|(phase, _)| phase);
-        let closing = CLOSING.map(|(phase, _)| phase);
+        let names = |phases: &[(&'static str, f64)]| -> Vec<_> {
+            phases.iter().map(|(phase, _)| *phase).collect()
+        };
         let rounds = ["round 1", "round 2", "what is left open"];
         for (two_estimates, refines_bench) in
             [(false, false), (true, false), (false, true), (true, true)]
         {
             let mut reached = Reached::new(two_estimates, refines_bench);
-            let before = rounds.iter().filter(|_| refines_bench);
-            let second = estimate.iter().filter(|_| two_estimates);
-            let phases = before.chain(&estimate).chain(second).chain(&closing);
+            let estimates = match two_estimates {
+                true => names(&TWO_ESTIMATES),
+                false => names(&ONE_ESTIMATE),
+            };
+            let before = rounds.into_iter().filter(|_| refines_bench);
+            let phases = before.chain(estimates).chain(names(&CLOSING));
             let parts: Vec<f64> = phases.map(|phase| reached.at(phase)).collect();
             assert_eq!(parts[0], 0.0);
             assert!(parts.is_sorted(), "{parts:?}");
