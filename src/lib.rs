@@ -46,7 +46,7 @@ pub use rig_console::console;
 pub use rig_desk::{batch, report};
 pub use rig_desk::{cluster, export, material, result_table};
 pub use rig_device::{device, interrupt, radiometry};
-pub use rig_lab::benchmark;
+pub use rig_lab::{benchmark, design};
 #[cfg(feature = "experiments")]
 pub use rig_lab::{evaluate, job_array};
 #[cfg(feature = "figures")]

@@ -14,11 +14,12 @@ use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
+use super::table::percent;
 use super::{fit, interrupt, open, operator};
 use crate::capture::Outcome;
 use crate::capture::event_lines::EventLines;
 use crate::capture::light_choice::Ranking;
-use crate::capture::lights::direction;
+use crate::capture::lights::{direction, lights_or_file};
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
@@ -37,8 +38,9 @@ pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
     /// How many light directions (around the sample at several heights, past the camera's body);
-    /// `all` that keep 15° between them; or `best:N`, those that are most informative about an unknown material
-    #[arg(long, value_name = "N|all|best:N", required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
+    /// `all` that keep 15° between them; `best:N`, those that are most informative about an unknown material;
+    /// or a file with AZ,EL in each line
+    #[arg(long, value_name = "N|all|best:N|FILE", value_parser = lights_or_file, required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
     #[arg(long, value_name = "AZ,EL", value_parser = direction, allow_hyphen_values = true, conflicts_with = "resume")]
@@ -368,10 +370,10 @@ fn remaining(ranking: &Ranking) -> String {
     let left: Vec<String> = ranking
         .best
         .iter()
-        .map(|ranked| format!("{:.1}%", 100.0 * ranked.remaining))
+        .map(|ranked| percent(ranked.error))
         .collect();
     format!(
-        "best of {} directions; expected variance of the BRDF left after each: {}",
+        "best of {} directions; expected environment error after each: {}",
         ranking.compared,
         left.join(", ")
     )

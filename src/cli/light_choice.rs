@@ -6,6 +6,7 @@ use super::capture_notices::Terminal;
 use super::context::Context;
 use super::error::CliError;
 use super::output::write_json;
+use super::table::percent;
 use crate::capture::light_choice;
 use crate::out;
 use crate::session::Session;
@@ -24,17 +25,17 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
             "session": root,
             "fit": found.fit,
             "lights_taken": found.taken,
-            "expected_variance_left": found.remaining,
+            "expected_error": found.error,
             "next": found.next,
         }));
     }
     out!(
-        "expected variance of the BRDF after the {} lights taken: {:.2}% of that without images",
+        "expected environment error after the {} lights taken: {}",
         found.taken,
-        100.0 * found.remaining
+        percent(found.error)
     )?;
     for ranked in &found.next {
-        out!("  with {}: {:.2}%", ranked.light, 100.0 * ranked.remaining)?;
+        out!("  with {}: {}", ranked.light, percent(ranked.error))?;
     }
     Ok(())
 }

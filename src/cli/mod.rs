@@ -31,6 +31,7 @@ pub mod console;
 mod console_address;
 pub mod context;
 pub mod demo;
+pub mod design;
 pub mod devices;
 pub mod doctor;
 pub mod error;
@@ -116,6 +117,7 @@ commands! {
     Render(render::RenderArgs) => render::run,
     Brdf(brdf::BrdfArgs) => brdf::run,
     Shape(shape::ShapeArgs) => shape::run,
+    Design(design::DesignArgs) => design::run,
     #[cfg(feature = "experiments")]
     Evaluate(evaluate::EvaluateArgs) => evaluate::run,
     #[cfg(feature = "reports")]

@@ -17,6 +17,7 @@ mod calibrate;
 mod camera;
 mod camera_programs;
 mod command_line;
+mod design;
 mod evaluate;
 mod export;
 mod fit;

@@ -30,7 +30,7 @@ its file system is not mounted `noexec` | a mount
 it may still move, and its lamp be lit | a stop that a stage does not confirm, with the console's unit tests
 correct camera.resolution_px in the rig file | a camera with frames of another size
 `mesh`, `table` and `weights` in the rig file | a file that goes away while a capture is prepared
-spreads the lights evenly with any dictionary | a dictionary that paths cannot hold
+spreads the lights evenly | a bench with a coloured body
 before a capture, `rig capture --lights best:N` | a session that was never fitted
 correct camera.mosaic or camera.format | a camera with other colour filters
 build it with the feature `serial` | a program built without it

@@ -64,6 +64,7 @@ pub mod dictionary;
 pub mod discrepancy;
 pub mod energy;
 pub mod environment;
+pub mod error_curvature;
 pub mod evaluator;
 pub mod fitted;
 pub mod ggx;

@@ -102,24 +102,24 @@ pub fn normals(size: usize) -> Vec<(usize, DVec3)> {
 }
 
 /// A direction from which light reaches one pixel's point.
-struct Incident {
+pub(super) struct Incident {
     at: Cosines<f32>,
-    to_light: glam::Vec3,
-    to_viewer: glam::Vec3,
+    pub to_light: glam::Vec3,
+    pub to_viewer: glam::Vec3,
 }
 
 /// What arrives from there under one of the maps.
 #[derive(Clone, Copy)]
-struct Arriving {
-    map: usize,
+pub(super) struct Arriving {
+    pub map: usize,
     /// Radiance × cosine × quadrature weight, R, G, B.
-    irradiance: [f32; 3],
+    pub irradiance: [f32; 3],
 }
 
 /// Hands out the directions of one pixel with what arrives from each. Those of the lobes
 /// serve all maps, so that a BRDF is evaluated there once; those drawn from a map serve it
 /// alone.
-fn incident(
+pub(super) fn incident(
     maps: &[EnvironmentMap],
     pixel: usize,
     normal: DVec3,

@@ -213,13 +213,7 @@ impl Shape {
                 form,
                 length_mm,
                 segments,
-            } => {
-                let profile = ridge_profile(radius_mm, segments);
-                match form {
-                    Form::Extruded => extrude(&profile, length_mm),
-                    Form::Revolved => revolve(&profile, segments),
-                }
-            }
+            } => of_knots(&RIDGE, radius_mm, form, length_mm, segments),
             Shape::Groove {
                 radius_mm,
                 width_mm,
@@ -306,12 +300,13 @@ pub const RIDGE: [[f64; 2]; 6] = [
     [0.0, 1.3996],
 ];
 
-/// Height and slope of the ridge's profile at r = 0..=1 radii.
-pub fn ridge_height(r: f64) -> [f64; 2] {
-    let step = 1.0 / (RIDGE.len() - 1) as f64;
-    let from = ((r / step) as usize).min(RIDGE.len() - 2);
+/// Height and slope at `r` = 0..=1 of a profile by its height and slope at evenly spaced knots,
+/// at least two; everything in units of the radius.
+pub fn knot_height(knots: &[[f64; 2]], r: f64) -> [f64; 2] {
+    let step = 1.0 / (knots.len() - 1) as f64;
+    let from = ((r / step) as usize).min(knots.len() - 2);
     let t = r / step - from as f64;
-    let [[low, low_slope], [high, high_slope]] = [RIDGE[from], RIDGE[from + 1]];
+    let [[low, low_slope], [high, high_slope]] = [knots[from], knots[from + 1]];
     // Hermite's cubic, and its derivative by r.
     let rise = high - low;
     let curve = (1.0 - t) * (low_slope * step - rise) - t * (high_slope * step - rise);
@@ -320,15 +315,26 @@ pub fn ridge_height(r: f64) -> [f64; 2] {
     [low + t * rise + t * (1.0 - t) * curve, (rise + bent) / step]
 }
 
-/// From the axis to the rim.
-fn ridge_profile(radius_mm: f32, steps: u32) -> Vec<ProfilePoint> {
+/// The surface whose profile [`knot_height`] gives, from the axis to the rim at `radius_mm`, in
+/// `segments` steps; `length_mm` is that of an extruded one.
+pub fn of_knots(
+    knots: &[[f64; 2]],
+    radius_mm: f32,
+    form: Form,
+    length_mm: f32,
+    segments: u32,
+) -> Result<Mesh, MeshError> {
     let at = |i: u32| {
-        let r = f64::from(i) / f64::from(steps);
-        let [height, slope] = ridge_height(r);
+        let r = f64::from(i) / f64::from(segments);
+        let [height, slope] = knot_height(knots, r);
         let point = Vec2::new(r as f32, height as f32);
         (radius_mm * point, Vec2::new(-slope as f32, 1.0).normalize())
     };
-    (0..=steps).map(at).collect()
+    let profile: Vec<ProfilePoint> = (0..=segments).map(at).collect();
+    match form {
+        Form::Extruded => extrude(&profile, length_mm),
+        Form::Revolved => revolve(&profile, segments),
+    }
 }
 
 /// From the inner rim to the outer one.
@@ -589,15 +595,15 @@ mod tests {
     #[test]
     fn the_ridge_is_its_profile() {
         for (i, expected) in RIDGE.into_iter().enumerate() {
-            let [height, slope] = ridge_height(0.2 * i as f64);
+            let [height, slope] = knot_height(&RIDGE, 0.2 * i as f64);
             assert!((height - expected[0]).abs() < 1e-12, "{i}: {height}");
             assert!((slope - expected[1]).abs() < 1e-9, "{i}: {slope}");
         }
         let mut volume = 0.0;
         for i in 0..1000 {
             let r = (f64::from(i) + 0.5) / 1000.0;
-            let [height, slope] = ridge_height(r);
-            let rise = ridge_height(r + 1e-6)[0] - ridge_height(r - 1e-6)[0];
+            let [height, slope] = knot_height(&RIDGE, r);
+            let rise = knot_height(&RIDGE, r + 1e-6)[0] - knot_height(&RIDGE, r - 1e-6)[0];
             assert!((rise / 2e-6 - slope).abs() < 1e-5, "{r}");
             volume += std::f64::consts::TAU * r * height / 1000.0;
         }

@@ -18,7 +18,7 @@ use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
 use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Atom, Dictionary};
-use crate::random::{Purpose, Stream, stream};
+use crate::random::{Purpose, stream};
 
 /// Samples of one channel group, and of the prior alone.
 pub struct PosteriorSamples {
@@ -39,9 +39,6 @@ pub struct PosteriorSamples {
     /// Where the posterior's spread comes from, where that is known.
     pub budget: Option<Budget>,
 }
-
-/// Concentration of a Dirichlet prior that a quadratic can see through its variance.
-pub(super) const CONCENTRATION: f64 = 0.15;
 
 /// Atoms that a material uses a priori, on average.
 const EXPECTED_ATOMS: f64 = 5.0;
@@ -291,34 +288,6 @@ fn adjusted_likelihood(
     }
 }
 
-/// One draw of a symmetric Dirichlet distribution.
-pub(super) fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
-    // Γ(a) for a < 1 is Γ(a + 1) · U^(1/a); in logarithms, so that tiny ones survive.
-    let logs: Vec<f64> = (0..n)
-        .map(|_| {
-            gamma_above_one(CONCENTRATION + 1.0, numbers).ln()
-                + (1.0 - numbers.uniform()).ln() / CONCENTRATION
-        })
-        .collect();
-    let largest = logs.iter().fold(f64::NEG_INFINITY, |m, &v| m.max(v));
-    let x = DVector::from_iterator(n, logs.iter().map(|l| (l - largest).exp()));
-    let sum = x.sum();
-    x / sum
-}
-
-/// Gamma variate of shape ≥ 1 (Marsaglia & Tsang 2000).
-fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
-    let d = shape - 1.0 / 3.0;
-    let c = 1.0 / (9.0 * d).sqrt();
-    loop {
-        let x = numbers.normal();
-        let v = (1.0 + c * x).powi(3);
-        if v > 0.0 && (1.0 - numbers.uniform()).ln() < 0.5 * x * x + d - d * v + d * v.ln() {
-            return d * v;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -346,31 +315,5 @@ mod tests {
                 dictionary.name()
             );
         }
-    }
-
-    /// Mean 1/n and variance (1/n)(1 − 1/n)/(a n + 1) of a symmetric Dirichlet.
-    #[test]
-    fn dirichlet_has_its_moments() {
-        let n = 10;
-        let mut numbers = stream(1, Purpose::Posterior, 0, 0, 0);
-        let count = 40_000;
-        let (mut sum, mut square) = (0.0, 0.0);
-        for _ in 0..count {
-            let x = dirichlet(n, &mut numbers);
-            assert!((x.sum() - 1.0).abs() < 1e-12);
-            sum += x[3];
-            square += x[3] * x[3];
-        }
-        let mean = sum / f64::from(count);
-        let variance = square / f64::from(count) - mean * mean;
-        let expected = 0.1 * 0.9 / (CONCENTRATION * n as f64 + 1.0);
-        assert!(
-            (mean - 0.1).abs() < 5.0 * (expected / f64::from(count)).sqrt(),
-            "mean {mean}"
-        );
-        assert!(
-            (variance / expected - 1.0).abs() < 0.06,
-            "variance {variance} for {expected}"
-        );
     }
 }

@@ -4,9 +4,12 @@
 
 #[cfg(feature = "experiments")]
 use rig_bench::{capture, workflow};
-use rig_core::{bench_priors, brdf, cells, frames, geometry, inverse, random, transport};
+use rig_core::{
+    bench_priors, brdf, cells, frames, geometry, inverse, progress, random, transport, units,
+    whole_file,
+};
 #[cfg(feature = "experiments")]
-use rig_core::{file_system, outside_file, radiance_image, simplex, statistics, units, whole_file};
+use rig_core::{file_system, outside_file, radiance_image, simplex, statistics};
 #[cfg(feature = "experiments")]
 use rig_desk::{cluster, result_table};
 #[cfg(feature = "experiments")]
@@ -15,6 +18,7 @@ use rig_device::{device, radiometry};
 use rig_setup::{calibration, checksum, config, plot, simulation};
 
 pub mod benchmark;
+pub mod design;
 #[cfg(feature = "experiments")]
 pub mod evaluate;
 #[cfg(feature = "experiments")]

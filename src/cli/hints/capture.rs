@@ -34,8 +34,8 @@ pub(super) fn for_prepare(error: &PrepareError) -> Option<String> {
         PrepareError::Resolution { .. } => {
             "correct camera.resolution_px in the rig file; `rig camera info` shows what the camera offers".into()
         }
-        PrepareError::LightSelection(_) => {
-            "a plain number after --lights spreads the lights evenly with any dictionary".into()
+        PrepareError::LightChoice(_) => {
+            "a plain number after --lights spreads the lights evenly".into()
         }
         PrepareError::NoFit { .. } => {
             "`rig fit SESSION` makes one; before a capture, `rig capture --lights best:N` chooses"

@@ -15,11 +15,11 @@ use crate::config::BuildError;
 use crate::config::ConfigError;
 use crate::config::scene_concern::SceneConcern;
 use crate::geometry::FileRemark;
+use crate::inverse::expected_error::PredictionError;
 use crate::session::SceneFileError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
 use crate::shown::nth;
-use crate::transport::cache::CacheError;
 use crate::units::StageAngles;
 
 /// Something worth a remark before a capture; it does not refuse it.
@@ -144,9 +144,9 @@ pub enum PrepareError {
     /// The dictionary that light directions are compared with.
     #[error("{0}")]
     Dictionary(#[from] BrdfError),
-    /// Light directions cannot be compared for this dictionary or scene.
+    /// Light directions cannot be compared for this scene.
     #[error("{0}")]
-    LightSelection(#[source] CacheError),
+    LightChoice(#[from] PredictionError),
     /// A session's fit.
     #[error("{0}")]
     Fit(#[from] FitRecordError),

@@ -1,25 +1,22 @@
 //! Light directions chosen by how much they tell: before anything is known of the material,
 //! or after a fit.
 
-use nalgebra::DVector;
+use std::sync::Arc;
 
 use super::CaptureError;
 use super::directions::{Aim, plan_order};
 use super::findings::{Notice, PrepareError};
 use super::reach::StageReach;
-use crate::brdf::Dictionary;
+use crate::brdf::discrepancy::Prior;
 use crate::config::RigConfig;
-use crate::inverse::light_selection::{
-    Choice, PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
+use crate::inverse::expected_error::{
+    Choice, PredictionOptions, Prospects, Subject, USUAL, coarse,
 };
 use crate::session::{Session, fit_record};
-use crate::transport::Scene;
 use crate::units::StageAngles;
 
 /// Directions that are compared: the first of the evenly spread ones.
 pub const CANDIDATES: usize = 60;
-/// Pixels along the longer side of the images that are compared.
-const RESOLUTION_PX: usize = 24;
 /// Cosine of the angle within which a direction counts as taken already, 1°.
 const NEAR_COSINE: f64 = 0.999_848;
 
@@ -29,10 +26,9 @@ pub struct Ranked {
     /// The direction.
     #[serde(flatten)]
     pub light: StageAngles,
-    /// Part of the BRDF's variance without images that is left after it and all before it,
-    /// 0 to 1.
-    #[serde(rename = "expected_variance_left")]
-    pub remaining: f64,
+    /// Environment error that is expected with it and all before it.
+    #[serde(rename = "expected_error")]
+    pub error: f64,
 }
 
 /// The best of some directions.
@@ -51,8 +47,8 @@ pub struct NextLights {
     pub fit: u32,
     /// Lights that the session holds.
     pub taken: usize,
-    /// Part of the BRDF's variance without images that these leave, 0 to 1.
-    pub remaining: f64,
+    /// Environment error that is expected with these.
+    pub error: f64,
     /// Directions to add, best first.
     pub next: Vec<Ranked>,
 }
@@ -61,7 +57,7 @@ pub struct NextLights {
 /// best first.
 ///
 /// # Errors
-/// More lights than candidates; a dictionary or scene that cannot be used.
+/// More lights than candidates; a scene that cannot be used.
 pub fn best(
     config: &RigConfig,
     reach: &StageReach,
@@ -77,15 +73,13 @@ pub fn best(
         }
         .into());
     }
-    let dictionary = Dictionary::load(config.fit.dictionary())?;
-    let options = options(config);
-    let materials = prior_materials(&dictionary, PRIOR_MATERIALS, options.seed);
     notice(Notice::Comparing {
         directions: candidates.len(),
     });
     let scene = coarse(config.geometry.scene(&candidates)?);
-    let prospects = Prospects::new(scene, &dictionary, &materials, &options)
-        .map_err(PrepareError::LightSelection)?;
+    let usual = USUAL.into_iter().filter_map(Subject::embedded);
+    let usual: Vec<Arc<Subject>> = usual.map(Arc::new).collect();
+    let prospects = Prospects::new(scene, &usual, &options(config))?;
     Ok(Ranking {
         compared: candidates.len(),
         best: ranked(&prospects.best(count), &candidates),
@@ -107,7 +101,7 @@ pub fn next(
         let session = session.root().to_owned();
         PrepareError::NoFit { session }
     })?;
-    let mixture = fit_record::read_in(session, number)?.mixture()?;
+    let material = fit_record::read_in(session, number)?.material()?;
     let config = session.rig()?;
 
     // The lights taken come first among the candidates.
@@ -127,18 +121,15 @@ pub fn next(
     notice(Notice::Comparing {
         directions: candidates.len(),
     });
-    let materials: Vec<DVector<f64>> = mixture
-        .weights()
-        .iter()
-        .map(|weights| DVector::from_column_slice(weights))
-        .collect();
+    let prior = Prior::of_materials_without(&[]);
+    let fitted = (0..3).map(|channel| Subject::new("fitted", &*material, channel, prior.clone()));
+    let fitted: Vec<Arc<Subject>> = fitted.map(Arc::new).collect();
     let scene = coarse(config.geometry.scene(&candidates)?);
-    let prospects = Prospects::new(scene, mixture.dictionary(), &materials, &options(&config))
-        .map_err(PrepareError::LightSelection)?;
+    let prospects = Prospects::new(scene, &fitted, &options(&config))?;
     Ok(NextLights {
         fit: number,
         taken: taken.len(),
-        remaining: prospects.remaining(&taken),
+        error: prospects.error(&taken),
         next: ranked(&prospects.greedy(&taken, count), &candidates),
     })
 }
@@ -146,26 +137,14 @@ pub fn next(
 fn ranked(choices: &[Choice], candidates: &[StageAngles]) -> Vec<Ranked> {
     let of = |choice: &Choice| Ranked {
         light: candidates[choice.candidate],
-        remaining: choice.remaining,
+        error: choice.error,
     };
     choices.iter().map(of).collect()
 }
 
-fn options(config: &RigConfig) -> SelectionOptions {
-    SelectionOptions {
+fn options(config: &RigConfig) -> PredictionOptions {
+    PredictionOptions {
         seed: config.fit.seed(),
-        ..SelectionOptions::default()
+        ..PredictionOptions::default()
     }
-}
-
-/// The same view in fewer pixels.
-fn coarse(mut scene: Scene) -> Scene {
-    let longer = scene.camera.resolution_px.into_iter().max().unwrap_or(1);
-    let scale = (RESOLUTION_PX as f64 / longer as f64).min(1.0);
-    scene.camera.point_spread_px *= scale;
-    scene.camera.resolution_px = scene
-        .camera
-        .resolution_px
-        .map(|pixels| ((pixels as f64 * scale).round() as usize).max(1));
-    scene
 }

@@ -1,8 +1,10 @@
 //! Which light directions a capture shall have.
 
+use std::path::Path;
 use std::str::FromStr;
 
 use super::light_choice::CANDIDATES;
+use crate::outside_file;
 use crate::units::StageAngles;
 
 /// Most lights that can be asked for.
@@ -44,6 +46,38 @@ impl FromStr for Lights {
     }
 }
 
+/// Largest file of directions, bytes.
+const MAX_BYTES: u64 = 1 << 24;
+
+/// As [`Lights::from_str`], or the name of a file with one direction a line; what follows a # is a
+/// remark.
+///
+/// # Errors
+/// What is expected instead, or the file's line.
+pub fn lights_or_file(text: &str) -> Result<Lights, String> {
+    let path = Path::new(text);
+    if !path.is_file() {
+        let stated = text.parse::<Lights>();
+        return stated.map_err(|fact| format!("{fact}, or a file with AZ,EL in each line"));
+    }
+    let content = outside_file::read_text(path, MAX_BYTES).map_err(|error| error.to_string())?;
+    let lines = content.lines().enumerate();
+    let stated = lines.map(|(k, line)| (k + 1, line.split('#').next().unwrap_or("").trim()));
+    let listed = stated
+        .filter(|(_, line)| !line.is_empty())
+        .map(|(number, line)| {
+            direction(line)
+                .map_err(|expected| format!("line {number}: \"{line}\" is not {expected}"))
+        });
+    let listed = listed.collect::<Result<Vec<_>, _>>()?;
+    match listed.len() {
+        1..=MOST_LIGHTS => Ok(Lights::Listed(listed)),
+        count => Err(format!(
+            "{count} directions, allowed are 1 to {MOST_LIGHTS}"
+        )),
+    }
+}
+
 /// One light direction: `AZ,EL` in degrees.
 ///
 /// # Errors
@@ -73,6 +107,21 @@ mod tests {
         for bad in ["best:0", "best:x", "best:1000"] {
             let error = bad.parse::<Lights>().unwrap_err();
             assert!(error.contains("from 1 to"), "{bad}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_file_lists_directions() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let name = file.path().to_str().unwrap();
+        std::fs::write(name, "# azimuth, elevation\n\n-40, 35.5  # first\n90,15\n").unwrap();
+        let listed = [[-40.0, 35.5], [90.0, 15.0]].map(|[a, e]| StageAngles::new(a, e));
+        assert_eq!(lights_or_file(name), Ok(Lights::Listed(listed.to_vec())));
+        assert_eq!(lights_or_file("best:3"), Ok(Lights::Best(3)));
+        for (bad, expected) in [("1,2\n3\n", "line 2: \"3\""), ("# none\n", "0 directions")] {
+            std::fs::write(name, bad).unwrap();
+            let error = lights_or_file(name).unwrap_err();
+            assert!(error.contains(expected), "{error}");
         }
     }
 

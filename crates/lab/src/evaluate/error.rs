@@ -115,6 +115,9 @@ pub enum EvaluateError {
     /// Paths.
     #[error(transparent)]
     Cache(#[from] crate::transport::cache::CacheError),
+    /// The expected error of a scene.
+    #[error(transparent)]
+    Prediction(#[from] crate::inverse::expected_error::PredictionError),
     /// A merge of exposures.
     #[error(transparent)]
     Merge(#[from] crate::radiometry::merge::MergeError),

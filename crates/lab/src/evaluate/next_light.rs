@@ -7,10 +7,8 @@ use glam::DVec3;
 use super::experiment::{Case, EvaluateError, Experiment, Medians, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::inverse::FitOptions;
+use crate::inverse::expected_error::{PredictionOptions, Prospects, Subject, USUAL};
 use crate::inverse::intervals::{self, Interval};
-use crate::inverse::light_selection::{
-    PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
-};
 use crate::plot::{Axis, Chart, Figure, Series, charts};
 use crate::random::{Purpose, stream};
 use crate::transport::Light;
@@ -85,17 +83,13 @@ impl Choosing {
     fn prospects(&self, lab: &Lab) -> Result<&Prospects, EvaluateError> {
         let compute = || {
             let scene = self.sample.scene(COARSE_PX, self.candidates.clone())?;
-            let options = SelectionOptions {
+            let options = PredictionOptions {
                 seed: lab.settings.seed,
-                ..SelectionOptions::default()
+                ..PredictionOptions::default()
             };
-            let materials = prior_materials(&lab.dictionary, PRIOR_MATERIALS, options.seed);
-            Ok(Prospects::new(
-                scene,
-                &lab.dictionary,
-                &materials,
-                &options,
-            )?)
+            let usual = USUAL.into_iter().filter_map(Subject::embedded);
+            let usual: Vec<Arc<Subject>> = usual.map(Arc::new).collect();
+            Ok(Prospects::new(scene, &usual, &options)?)
         };
         self.prospects
             .get_or_init(|| compute().map_err(|error: EvaluateError| error.to_string()))
@@ -166,7 +160,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                     let key = format!("{}/{}/{lights}/{rule:?}", material.name, sample.name());
                     cases.push(Case::new(key, move |lab: &Lab| {
                         let chosen = choosing.choose(lab, rule, lights)?;
-                        let remaining = choosing.prospects(lab)?.remaining(&chosen);
+                        let expected = choosing.prospects(lab)?.error(&chosen);
                         let lights: Vec<Light> =
                             chosen.iter().map(|&c| choosing.candidates[c]).collect();
                         let captured = lab.capture(sample, &lights, &*material.brdf)?;
@@ -181,7 +175,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                             .row(sample)
                             .with("rule", rule.name())
                             .with("lights", lights.len())
-                            .with("expected_variance_left", remaining);
+                            .with("expected_error", expected);
                         let fit = &estimate.fit;
                         let (theta_h, theta_d) = table_angles();
                         let table = intervals::table(

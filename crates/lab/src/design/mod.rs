@@ -1,0 +1,493 @@
+//! The designer: which sample, which tilt of the camera and which lamps tell most of an unknown
+//! material.
+//!
+//! A profile of revolution and the tilt are searched by the cross-entropy method; the
+//! lamps are the best of those within reach, for each profile anew. What counts is the environment error that the
+//! images are expected to leave ([`crate::inverse::expected_error`], docs/adr/0017), the geometric mean
+//! over some embedded materials. All candidates are looked at with the same paths, and what was found
+//! once more with others and with materials that took no part, because a search exploits noise.
+
+use std::sync::Arc;
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::geometry::{Mesh, MeshError, Shape};
+use crate::inverse::expected_error::{
+    Choice, ExpectedError, PredictionError, PredictionOptions, Prospects, Subject, USUAL, coarse,
+};
+use crate::progress::Progress;
+use crate::random::{Purpose, Stream, stream};
+use crate::transport::{Camera, Light, Projection, Scene, Shading};
+use crate::units::StageAngles;
+
+mod drawing;
+pub mod profile;
+mod written;
+
+pub use profile::{Limits, Profile};
+pub use written::{WriteError, write};
+
+use profile::HEIGHTS;
+
+/// Materials that take no part in a search.
+pub const HELD_OUT: [&str; 4] = ["alum-bronze", "pvc", "delrin", "gold-metallic-paint"];
+
+/// Where lamps can stand.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Reach {
+    /// No lower than this over the rim's plane, degrees.
+    pub least_elevation_deg: f64,
+    /// No nearer to the camera's axis than this, degrees: its body is there, and light from beside
+    /// it shines into the lens.
+    pub clearance_deg: f64,
+}
+
+impl Default for Reach {
+    fn default() -> Self {
+        Self {
+            least_elevation_deg: 15.0,
+            clearance_deg: 20.0,
+        }
+    }
+}
+
+impl Reach {
+    /// Free directions up to an azimuth, in steps, for a camera in the direction `to_camera`.
+    fn lamps(&self, to_camera: DVec3, widest_deg: f64, step_deg: f64) -> Vec<StageAngles> {
+        let steps = |from: f64, to: f64| {
+            let count = ((to - from) / step_deg).floor().max(0.0) as usize;
+            (0..=count).map(move |k| from + k as f64 * step_deg)
+        };
+        let nearest = self.clearance_deg.to_radians().cos();
+        let of_elevation = |elevation: f64| {
+            let widest = if elevation > 89.0 { 0.0 } else { widest_deg };
+            steps(0.0, widest).map(move |azimuth| StageAngles::new(azimuth, elevation))
+        };
+        steps(self.least_elevation_deg, 90.0)
+            .flat_map(of_elevation)
+            .filter(|lamp| lamp.to_light().dot(to_camera) <= nearest)
+            .collect()
+    }
+}
+
+/// What is searched for.
+#[derive(Clone, Debug)]
+pub struct DesignRequest {
+    /// Lamps, 1..=12.
+    pub images: usize,
+    /// What can be made.
+    pub limits: Limits,
+    /// Least and largest angle of the camera from the sample's axis, degrees, 0..=75.
+    pub tilt_deg: [f64; 2],
+    /// Where lamps can stand.
+    pub reach: Reach,
+    /// Embedded materials that the error is averaged over.
+    pub materials: Vec<String>,
+    /// Rounds of the search, 0..=100.
+    pub rounds: u32,
+    /// Designs per round, 8..=1000.
+    pub population: u32,
+    /// Of the search and its paths.
+    pub seed: u64,
+}
+
+impl Default for DesignRequest {
+    fn default() -> Self {
+        Self {
+            images: 4,
+            limits: Limits::default(),
+            tilt_deg: [0.0, 60.0],
+            reach: Reach::default(),
+            materials: USUAL.map(str::to_owned).to_vec(),
+            rounds: 8,
+            population: 24,
+            seed: 1,
+        }
+    }
+}
+
+/// A sample with its camera and lamps, and the errors that are expected of it.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Design {
+    /// What tables call it.
+    pub name: String,
+    /// Angle of the camera from the sample's axis, degrees, towards azimuth 180°.
+    pub camera_tilt_deg: f64,
+    /// Lamps, the most telling first.
+    pub lights: Vec<StageAngles>,
+    /// Geometric mean of the materials that took part.
+    pub error: f64,
+    /// Of those that took none.
+    pub error_held_out: f64,
+    /// Each material.
+    pub materials: Vec<ExpectedError>,
+}
+
+/// What a search found.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The sample's profile.
+    pub profile: Profile,
+    /// Its design.
+    pub design: Design,
+    /// Known shapes in the same place.
+    pub others: Vec<Design>,
+}
+
+/// Why there is no design.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum DesignError {
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error(transparent)]
+    Prediction(#[from] PredictionError),
+    #[error("{name} is no embedded material")]
+    Material { name: String },
+    #[error("{images} images, but only {lamps} directions are free for lamps")]
+    TooFewLamps { images: usize, lamps: usize },
+    #[error(
+        "a camera tilt of {tilt_deg}° makes the flat sample {depth_mm:.1} mm deep, {allowed_mm} mm are sharp"
+    )]
+    TooDeep {
+        tilt_deg: f64,
+        depth_mm: f64,
+        allowed_mm: f64,
+    },
+}
+
+/// Pixels per side and facets around while searching.
+const SEARCH: [u32; 2] = [18, 64];
+/// The same for what was found.
+const FINAL: [u32; 2] = [24, 128];
+/// Paths per cell while searching.
+const SEARCH_PATHS: u32 = 32;
+/// Share of a round whose mean and spread the next one has.
+const ELITE: f64 = 0.2;
+/// Spread of the first round's heights, in radii.
+const FIRST_SPREAD: f64 = 0.35;
+/// Step of the lamps' angles while searching, degrees.
+const LAMP_STEP_DEG: f64 = 30.0;
+/// Parts into which the step is divided for what was found.
+const FINER: f64 = 2.0;
+/// Side of the view, in radii.
+const VIEW: f64 = 2.2;
+
+/// Searches.
+///
+/// # Errors
+/// Limits that leave no design.
+pub fn design(request: &DesignRequest, progress: &dyn Progress) -> Result<Found, DesignError> {
+    let search = Search::new(request)?;
+    let (heights, tilt_deg) = search.run(progress)?;
+    let profile = Profile::through(&heights).flattened(&request.limits, tilt_deg);
+    let segments = FINAL[1];
+    let mesh = profile.mesh(request.limits.radius_mm, segments)?;
+    let design = search.judged("found", mesh, tilt_deg)?;
+
+    // Known shapes with the tilt that suits each best.
+    let radius_mm = request.limits.radius_mm as f32;
+    let shapes = [
+        (
+            "bowl",
+            Shape::Bowl {
+                radius_mm,
+                segments,
+            },
+        ),
+        (
+            "ball",
+            Shape::Sphere {
+                radius_mm,
+                segments,
+            },
+        ),
+        (
+            "cap of 60°",
+            Shape::Cap {
+                radius_mm: radius_mm / 60f32.to_radians().sin(),
+                opening_deg: 60.0,
+                segments,
+            },
+        ),
+    ];
+    let mut others = Vec::new();
+    for (name, shape) in shapes {
+        let mesh = shape.mesh()?;
+        let [low, high] = request.tilt_deg;
+        let mut tilts_deg = vec![low, 0.5 * (low + high), high];
+        tilts_deg.dedup();
+        let mut best: Option<Design> = None;
+        for tilt_deg in tilts_deg {
+            let next = search.judged(name, mesh.clone(), tilt_deg)?;
+            if best.as_ref().is_none_or(|best| next.error < best.error) {
+                best = Some(next);
+            }
+        }
+        others.extend(best);
+    }
+    Ok(Found {
+        profile,
+        design,
+        others,
+    })
+}
+
+/// Embedded materials by their names.
+///
+/// # Errors
+/// [`DesignError::Material`].
+pub fn subjects(names: &[String]) -> Result<Vec<Arc<Subject>>, DesignError> {
+    let load = |name: &String| {
+        let subject = Subject::embedded(name).map(Arc::new);
+        subject.ok_or_else(|| DesignError::Material { name: name.clone() })
+    };
+    names.par_iter().map(load).collect()
+}
+
+/// What is expected of each material after the images of a scene.
+///
+/// # Errors
+/// Bodies of the scene that cannot be taken into account.
+pub fn evaluate(
+    scene: Scene,
+    materials: &[Arc<Subject>],
+    seed: u64,
+) -> Result<Vec<ExpectedError>, PredictionError> {
+    let all: Vec<usize> = (0..scene.lights.len()).collect();
+    let options = PredictionOptions {
+        seed,
+        ..PredictionOptions::default()
+    };
+    Ok(Prospects::new(coarse(scene), materials, &options)?.by_material(&all))
+}
+
+/// The geometric mean of what is expected of some materials.
+pub fn geometric_mean(errors: &[ExpectedError]) -> f64 {
+    let sum: f64 = errors.iter().map(|of| of.error.ln()).sum();
+    (sum / errors.len() as f64).exp()
+}
+
+/// A lamp, and the error that is expected with it and those before.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct ChosenLamp {
+    /// Its direction in the sample's frame.
+    #[serde(flatten)]
+    pub light: StageAngles,
+    /// Expected environment error.
+    pub error: f64,
+}
+
+/// The best lamps for the sample and the camera of a scene, in place of its own.
+///
+/// # Errors
+/// Too few free directions; bodies that cannot be taken into account.
+pub fn lights_only(
+    mut scene: Scene,
+    request: &DesignRequest,
+) -> Result<Vec<ChosenLamp>, DesignError> {
+    let materials = subjects(&request.materials)?;
+    let to_camera = scene.camera.sample_from_camera.direction(-DVec3::Z);
+    let free = request.reach.lamps(to_camera, 359.0, LAMP_STEP_DEG / FINER);
+    let free = enough(free, request.images)?;
+    scene.lights = free.iter().map(parallel).collect();
+    let options = PredictionOptions {
+        seed: request.seed,
+        ..PredictionOptions::default()
+    };
+    let prospects = Prospects::new(coarse(scene), &materials, &options)?;
+    let chosen = prospects.greedy(&[], request.images).into_iter();
+    Ok(chosen
+        .map(|choice| ChosenLamp {
+            light: free[choice.candidate],
+            error: choice.error,
+        })
+        .collect())
+}
+
+/// Light of unit irradiance from there.
+fn parallel(lamp: &StageAngles) -> Light {
+    Light::Directional {
+        to_light: lamp.to_light(),
+        irradiance: [1.0; 3],
+        angular_radius_rad: 0.0,
+    }
+}
+
+/// A point of the search: heights in radii, then the tilt in degrees.
+type Point = [f64; HEIGHTS + 1];
+
+struct Search<'a> {
+    request: &'a DesignRequest,
+    subjects: Vec<Arc<Subject>>,
+    held_out: Vec<Arc<Subject>>,
+}
+
+impl<'a> Search<'a> {
+    fn new(request: &'a DesignRequest) -> Result<Self, DesignError> {
+        let [tilt_deg, _] = request.tilt_deg;
+        let flat = Profile::through(&[0.0; HEIGHTS]);
+        if !flat.keeps(&request.limits, tilt_deg) {
+            return Err(DesignError::TooDeep {
+                tilt_deg,
+                depth_mm: flat.depth(tilt_deg) * request.limits.radius_mm,
+                allowed_mm: request.limits.depth_of_field_mm,
+            });
+        }
+        Ok(Self {
+            request,
+            subjects: subjects(&request.materials)?,
+            held_out: subjects(&HELD_OUT.map(str::to_owned))?,
+        })
+    }
+
+    /// The best point of a cross-entropy search: each round is drawn from the normal distribution
+    /// of the best of the round before.
+    fn run(&self, progress: &dyn Progress) -> Result<([f64; HEIGHTS], f64), DesignError> {
+        let request = self.request;
+        let [low, high] = request.tilt_deg;
+        let mut mean: Point = [0.0; HEIGHTS + 1];
+        let mut spread: Point = [FIRST_SPREAD; HEIGHTS + 1];
+        (mean[HEIGHTS], spread[HEIGHTS]) = (0.5 * (low + high), 0.4 * (high - low));
+        let mut best: Option<(f64, Point)> = None;
+        for round in 0..request.rounds {
+            let drawn = (0..request.population).map(|k| {
+                let mut numbers = stream(
+                    request.seed,
+                    Purpose::Experiment,
+                    u64::from(round),
+                    0,
+                    u64::from(k),
+                );
+                self.drawn(&mean, &spread, &mut numbers)
+            });
+            let mut scored = Vec::new();
+            for point in drawn.collect::<Vec<_>>() {
+                scored.push((self.error(&point)?, point));
+                progress.advance(1);
+            }
+            scored.extend(best);
+            scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+            best = scored.first().copied();
+            scored.truncate((ELITE * f64::from(request.population)).ceil() as usize);
+            let count = scored.len() as f64;
+            for k in 0..=HEIGHTS {
+                let elite = || scored.iter().map(|(_, point)| point[k]);
+                let of = elite().sum::<f64>() / count;
+                let square = elite().map(|v| (v - of).powi(2)).sum::<f64>() / count;
+                mean[k] = 0.3 * mean[k] + 0.7 * of;
+                spread[k] = 0.3 * spread[k] + 0.7 * square.sqrt();
+            }
+        }
+        let point = best.map_or(mean, |(_, point)| point);
+        Ok((heights(&point), point[HEIGHTS]))
+    }
+
+    fn drawn(&self, mean: &Point, spread: &Point, numbers: &mut Stream) -> Point {
+        let [low, high] = self.request.tilt_deg;
+        let mut point: Point = std::array::from_fn(|k| mean[k] + spread[k] * numbers.normal());
+        let limits = &self.request.limits;
+        let deepest = (0.5 * limits.depth_of_field_mm / limits.radius_mm).min(1.0);
+        let deepest_deg = deepest.asin().to_degrees();
+        point[HEIGHTS] = point[HEIGHTS].clamp(low, high.min(deepest_deg).max(low));
+        point
+    }
+
+    fn error(&self, point: &Point) -> Result<f64, DesignError> {
+        let (request, tilt_deg) = (self.request, point[HEIGHTS]);
+        let profile = Profile::through(&heights(point)).flattened(&request.limits, tilt_deg);
+        let [pixels, segments] = SEARCH;
+        let mesh = profile.mesh(request.limits.radius_mm, segments)?;
+        let lamps = self.lamps(tilt_deg, LAMP_STEP_DEG)?;
+        let options = PredictionOptions {
+            samples_per_cell: SEARCH_PATHS,
+            seed: request.seed,
+            ..PredictionOptions::default()
+        };
+        let scene = scene(mesh, request.limits.radius_mm, tilt_deg, pixels, &lamps);
+        let prospects = Prospects::new(scene, &self.subjects, &options)?;
+        let choices = prospects.greedy(&[], request.images);
+        Ok(choices.last().map_or(f64::INFINITY, |last| last.error))
+    }
+
+    /// With the best lamps of a finer grid, by other paths than those of the search.
+    fn judged(&self, name: &str, mesh: Mesh, tilt_deg: f64) -> Result<Design, DesignError> {
+        let request = self.request;
+        let lamps = self.lamps(tilt_deg, LAMP_STEP_DEG / FINER)?;
+        let options = PredictionOptions {
+            seed: request.seed.wrapping_add(1),
+            ..PredictionOptions::default()
+        };
+        let radius_mm = request.limits.radius_mm;
+        let place =
+            |lamps: &[StageAngles]| scene(mesh.clone(), radius_mm, tilt_deg, FINAL[0], lamps);
+        let prospects = Prospects::new(place(&lamps), &self.subjects, &options)?;
+        let chosen = prospects.greedy(&[], request.images);
+        let chosen: Vec<StageAngles> = chosen.iter().map(|c: &Choice| lamps[c.candidate]).collect();
+        let all: Vec<usize> = (0..chosen.len()).collect();
+        let again = PredictionOptions {
+            seed: request.seed.wrapping_add(2),
+            ..options
+        };
+        let [took_part, held_out] = [&self.subjects, &self.held_out]
+            .map(|subjects| Prospects::new(place(&chosen), subjects, &again));
+        let (took_part, held_out) = (took_part?, held_out?);
+        let mut materials = took_part.by_material(&all);
+        materials.extend(held_out.by_material(&all));
+        Ok(Design {
+            name: name.to_owned(),
+            camera_tilt_deg: tilt_deg,
+            lights: chosen,
+            error: took_part.error(&all),
+            error_held_out: held_out.error(&all),
+            materials,
+        })
+    }
+
+    /// Free directions. Sample and camera are mirror images of themselves at azimuth 0; on the axis
+    /// all azimuths are alike.
+    fn lamps(&self, tilt_deg: f64, step_deg: f64) -> Result<Vec<StageAngles>, DesignError> {
+        let request = self.request;
+        let widest_deg = if tilt_deg < 1.0 { 0.0 } else { 180.0 };
+        let to_camera = StageAngles::new(180.0, 90.0 - tilt_deg).to_light();
+        let free = request.reach.lamps(to_camera, widest_deg, step_deg);
+        enough(free, request.images)
+    }
+}
+
+fn enough(free: Vec<StageAngles>, images: usize) -> Result<Vec<StageAngles>, DesignError> {
+    let lamps = free.len();
+    match lamps < images {
+        true => Err(DesignError::TooFewLamps { images, lamps }),
+        false => Ok(free),
+    }
+}
+
+fn heights(point: &Point) -> [f64; HEIGHTS] {
+    std::array::from_fn(|k| point[k])
+}
+
+/// The camera at azimuth 180°, tilted from the sample's axis, aimed at a height on it.
+fn camera(height_mm: f64, radius_mm: f64, tilt_deg: f64, pixels: u32) -> Camera {
+    let middle_mm = height_mm * DVec3::Z;
+    let to_camera = StageAngles::new(180.0, 90.0 - tilt_deg).to_light();
+    let up = if tilt_deg < 1.0 { DVec3::Y } else { DVec3::Z };
+    Camera::looking_at(
+        [pixels as usize; 2],
+        Projection::Orthographic {
+            extent_mm: DVec2::splat(VIEW * radius_mm),
+        },
+        middle_mm + 10.0 * radius_mm * to_camera,
+        middle_mm,
+        up,
+    )
+    .expect("up is across the view")
+}
+
+fn scene(mesh: Mesh, radius_mm: f64, tilt_deg: f64, pixels: u32, lamps: &[StageAngles]) -> Scene {
+    let [low, high] = mesh.bounds_mm().map(|corner| f64::from(corner.z));
+    let camera = camera(0.5 * (low + high), radius_mm, tilt_deg, pixels);
+    let lights = lamps.iter().map(parallel).collect();
+    Scene::new(mesh, Shading::Smooth, camera, lights)
+}

@@ -1,0 +1,111 @@
+//! What a design is handed on as: scene, lamps, surface, drawing and figures.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use super::{DesignRequest, FINAL, Found, VIEW, drawing};
+use crate::geometry::{Mesh, MeshError, files};
+use crate::units::StageAngles;
+use crate::whole_file;
+
+/// Why a design could not be written.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum WriteError {
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    #[error("{}: {source}", path.display())]
+    File {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+}
+
+/// Facets around the surface that is written.
+const SEGMENTS: u32 = 256;
+
+/// Writes into `folder`, which is made: `scene.toml` with `sample.ply`, `lights.txt`, `sample.stl`,
+/// `drawing.svg` and `design.json`. Returns their paths.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write(
+    folder: &Path,
+    found: &Found,
+    request: &DesignRequest,
+) -> Result<Vec<PathBuf>, WriteError> {
+    let file_error = |path: &Path| {
+        let path = path.to_owned();
+        move |source| WriteError::File { path, source }
+    };
+    std::fs::create_dir_all(folder).map_err(file_error(folder))?;
+    let mesh = found.profile.mesh(request.limits.radius_mm, SEGMENTS)?;
+    let mut written = Vec::new();
+    for name in ["sample.ply", "sample.stl"] {
+        written.push(folder.join(name));
+        files::write(&folder.join(name), &mesh)?;
+    }
+    let figures = serde_json::json!({
+        "images": request.images,
+        "limits": request.limits,
+        "profile_height_and_slope": found.profile.knots,
+        "steepest_deg": found.profile.steepest_deg(),
+        "smallest_radius_mm": found.profile.tightest() * request.limits.radius_mm,
+        "depth_mm": found.profile.depth(found.design.camera_tilt_deg) * request.limits.radius_mm,
+        "seed": request.seed,
+        "theta_d_bands_deg": crate::inverse::expected_error::BANDS_DEG,
+        "design": found.design,
+        "compared_with": found.others,
+    });
+    let texts = [
+        ("scene.toml", scene(found, &mesh, request)),
+        ("lights.txt", lights(&found.design.lights)),
+        ("drawing.svg", drawing::svg(found, request)),
+        ("design.json", format!("{figures:#}\n")),
+    ];
+    for (name, text) in texts {
+        let path = folder.join(name);
+        whole_file::replace(&path, |file| file.write_all(text.as_bytes()))
+            .map_err(file_error(&path))?;
+        written.push(path);
+    }
+    Ok(written)
+}
+
+/// Lamps as `rig capture --lights FILE` reads them.
+pub fn lights(lights: &[StageAngles]) -> String {
+    let mut text = "# azimuth, elevation, degrees\n".to_owned();
+    for lamp in lights {
+        let _ = writeln!(text, "{},{}", lamp.azimuth_deg, lamp.elevation_deg);
+    }
+    text
+}
+
+fn scene(found: &Found, mesh: &Mesh, request: &DesignRequest) -> String {
+    let radius_mm = request.limits.radius_mm;
+    let tilt_deg = found.design.camera_tilt_deg;
+    let [low, high] = mesh.bounds_mm().map(|corner| f64::from(corner.z));
+    let height_mm = 0.5 * (low + high);
+    let camera = super::camera(height_mm, radius_mm, tilt_deg, FINAL[0]);
+    let place = camera.sample_from_camera.point(glam::DVec3::ZERO);
+    let up = if tilt_deg < 1.0 {
+        "[0, 1, 0]"
+    } else {
+        "[0, 0, 1]"
+    };
+    let mut text = format!(
+        "[camera]\nmodel = \"orthographic\"\nresolution_px = [64, 64]\nextent_mm = [{extent}, {extent}]\n\
+         position_mm = {:?}\nlook_at_mm = [0, 0, {height_mm}]\nup = {up}\n\n\
+         [sample]\nmesh = \"sample.ply\"\nshading = \"smooth\"\n",
+        place.to_array(),
+        extent = VIEW * radius_mm,
+    );
+    for lamp in &found.design.lights {
+        let _ = write!(
+            text,
+            "\n[[light]]\nkind = \"directional\"\nto_light = {:?}\n",
+            lamp.to_light().to_array()
+        );
+    }
+    text
+}

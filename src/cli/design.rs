@@ -1,0 +1,218 @@
+//! `rig design`: which sample, tilt of the camera and lamps tell most of an unknown material.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::number::within;
+use super::output::{write_json, write_path};
+use super::table::{Table, percent};
+use super::{CliError, Context};
+use crate::brdf::nbrdf;
+use crate::config::scene::SceneFile;
+use crate::design::{self, Design, DesignError, DesignRequest, Limits, Reach};
+use crate::inverse::expected_error::{BANDS, BANDS_DEG, ExpectedError, USUAL};
+use crate::out;
+use crate::progress::Progress;
+
+/// Designs a sample with its camera and lamps, or tells what given ones are expected to leave open
+///
+/// What counts is the environment error that a fit is expected to have, the geometric mean over some
+/// embedded materials.
+#[derive(clap::Args, Debug)]
+#[command(group(clap::ArgGroup::new("task").required(true).args(["out", "evaluate", "lights_only"])))]
+pub struct DesignArgs {
+    /// Folder for the design: scene, lamps for `rig capture --lights FILE`, surface (STL, PLY), drawing
+    /// (SVG), figures (JSON)
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Instead: the expected errors of these scene files
+    #[arg(long, value_name = "SCENE", num_args = 1..)]
+    evaluate: Vec<PathBuf>,
+    /// Instead: the best lamps for the sample and camera of this scene file, one AZ,EL a line
+    #[arg(long, value_name = "SCENE")]
+    lights_only: Option<PathBuf>,
+    /// Lamps, 1 to 12
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=12))]
+    images: u64,
+    /// From the sample's axis to its rim, mm, 1 to 1000
+    #[arg(long, value_name = "MM", default_value_t = Limits::default().radius_mm, value_parser = within(1.0, 1e3))]
+    radius: f64,
+    /// Steepest slope of the sample, degrees, 5 to 85
+    #[arg(long, value_name = "DEG", default_value_t = Limits::default().max_slope_deg, value_parser = within(5.0, 85.0))]
+    max_slope: f64,
+    /// Smallest radius of curvature of its profile, mm, 0.01 to 100: of the tool's tip, or what paint leaves
+    #[arg(long, value_name = "MM", default_value_t = Limits::default().min_radius_mm, value_parser = within(0.01, 100.0))]
+    min_radius: f64,
+    /// Depth that the camera sees sharp, mm, 0.1 to 1000
+    #[arg(long, value_name = "MM", default_value_t = Limits::default().depth_of_field_mm, value_parser = within(0.1, 1e3))]
+    depth_of_field: f64,
+    /// Angle of the camera from the sample's axis, or a range LOW:HIGH, degrees, 0 to 75
+    #[arg(long, value_name = "DEG", default_value = "0:60", value_parser = tilt)]
+    camera_tilt: [f64; 2],
+    /// Lamps stand no lower than this over the rim, degrees, -85 to 80
+    #[arg(long, value_name = "DEG", default_value_t = Reach::default().least_elevation_deg, allow_negative_numbers = true, value_parser = within(-85.0, 80.0))]
+    least_elevation: f64,
+    /// Lamps stand no nearer to the camera's axis than this, degrees, 0 to 60
+    #[arg(long, value_name = "DEG", default_value_t = Reach::default().clearance_deg, value_parser = within(0.0, 60.0))]
+    clearance: f64,
+    /// Embedded materials to average over
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', default_values_t = USUAL.map(str::to_owned))]
+    materials: Vec<String>,
+    /// Rounds of the search, 1 to 100
+    #[arg(long, value_name = "N", default_value_t = DesignRequest::default().rounds, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// Seed of the search and its light paths
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// The figures as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn tilt(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = text.split_once(':').unwrap_or((text, text));
+    let angle = within(0.0, 75.0);
+    match [angle(low)?, angle(high)?] {
+        [low, high] if low <= high => Ok([low, high]),
+        _ => Err("the lower angle comes first, e.g. 0:60".to_owned()),
+    }
+}
+
+/// A bar over the designs that are looked at.
+struct Designs<'a>(&'a indicatif::ProgressBar);
+
+impl Progress for Designs<'_> {
+    fn advance(&self, designs: usize) {
+        self.0.inc(designs as u64);
+    }
+}
+
+/// `rig design`.
+pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
+    let request = DesignRequest {
+        images: args.images as usize,
+        limits: Limits {
+            radius_mm: args.radius,
+            max_slope_deg: args.max_slope,
+            min_radius_mm: args.min_radius,
+            depth_of_field_mm: args.depth_of_field,
+        },
+        tilt_deg: args.camera_tilt,
+        reach: Reach {
+            least_elevation_deg: args.least_elevation,
+            clearance_deg: args.clearance,
+        },
+        materials: args.materials.clone(),
+        rounds: args.rounds,
+        seed: args.seed,
+        ..DesignRequest::default()
+    };
+    match (&args.lights_only, &args.out) {
+        (Some(file), _) => lights_only(file, &request, args.json),
+        (_, Some(folder)) => search(folder, &request, args.json, context),
+        _ => evaluate(&args.evaluate, &request, args.json),
+    }
+}
+
+fn search(
+    folder: &Path,
+    request: &DesignRequest,
+    json: bool,
+    context: &Context,
+) -> Result<(), CliError> {
+    let bar = context.bar(u64::from(request.rounds * request.population), "designs");
+    let found = design::design(request, &Designs(&bar));
+    bar.finish_and_clear();
+    let found = found.map_err(advise)?;
+    let written = design::write(folder, &found, request)?;
+    let all: Vec<&Design> = std::iter::once(&found.design)
+        .chain(&found.others)
+        .collect();
+    if json {
+        return write_json(&json!({ "files": written, "designs": all }));
+    }
+    let mut table = Table::new(&[
+        "design",
+        " tilt",
+        " expected",
+        " held out",
+        "lamps (azimuth,elevation)",
+    ]);
+    for design in all {
+        let lamps = design.lights.iter();
+        let lamps = lamps.map(|l| format!("{:.0},{:.0}", l.azimuth_deg, l.elevation_deg));
+        table.row([
+            design.name.clone(),
+            format!("{:.0}°", design.camera_tilt_deg),
+            percent(design.error),
+            percent(design.error_held_out),
+            lamps.collect::<Vec<_>>().join(" "),
+        ]);
+    }
+    table.print()?;
+    written.iter().try_for_each(|path| write_path(path))
+}
+
+fn evaluate(files: &[PathBuf], request: &DesignRequest, json: bool) -> Result<(), CliError> {
+    let materials = design::subjects(&request.materials).map_err(advise)?;
+    let mut all = Vec::new();
+    for file in files {
+        let scene = SceneFile::load(file)?.scene()?;
+        all.push((file, design::evaluate(scene, &materials, request.seed)?));
+    }
+    if json {
+        let of = |(file, errors): &(&PathBuf, Vec<ExpectedError>)| json!({ "scene": file, "error": design::geometric_mean(errors), "materials": errors });
+        let scenes: Vec<_> = all.iter().map(of).collect();
+        return write_json(&json!({ "theta_d_bands_deg": BANDS_DEG, "scenes": scenes }));
+    }
+    let bands = (0..BANDS).map(|k| format!(" θd {}–{}°", BANDS_DEG[k], BANDS_DEG[k + 1]));
+    let headings = ["scene", "material", " expected"].map(str::to_owned);
+    let headings: Vec<String> = headings.into_iter().chain(bands).collect();
+    let mut table = Table::new(&headings.iter().map(String::as_str).collect::<Vec<_>>());
+    for (file, errors) in &all {
+        let shown = file.display().to_string();
+        table.row([
+            shown.clone(),
+            "geometric mean".to_owned(),
+            percent(design::geometric_mean(errors)),
+        ]);
+        for of in errors {
+            let first = [shown.clone(), of.material.clone(), percent(of.error)];
+            table.row(first.into_iter().chain(of.by_theta_d.map(percent)));
+        }
+    }
+    table.print()
+}
+
+fn lights_only(file: &Path, request: &DesignRequest, json: bool) -> Result<(), CliError> {
+    let scene = SceneFile::load(file)?.scene()?;
+    let chosen = design::lights_only(scene, request).map_err(advise)?;
+    if json {
+        return write_json(&json!({ "scene": file, "lights": chosen }));
+    }
+    for lamp in &chosen {
+        let angles = lamp.light;
+        let expected = percent(lamp.error);
+        out!(
+            "{},{}  # expected error {expected}",
+            angles.azimuth_deg,
+            angles.elevation_deg
+        )?;
+    }
+    Ok(())
+}
+
+fn advise(error: DesignError) -> CliError {
+    let hint = match error {
+        DesignError::Material { .. } => format!("known are {}", nbrdf::NAMES.join(", ")),
+        DesignError::TooFewLamps { .. } => {
+            "lower --least-elevation, --clearance or --images".into()
+        }
+        DesignError::TooDeep { .. } => {
+            "lower --camera-tilt or --radius, or give the lens more --depth-of-field".into()
+        }
+        _ => return error.into(),
+    };
+    CliError::from(error).hint(hint)
+}
