@@ -43,7 +43,7 @@ pub const BUILT_IN: &[(&str, &str)] = &[
 ];
 
 /// Simulated benches on which calibrations and the bench of a torch are rehearsed, built into the
-/// program as well (docs/calibration.md, docs/tutorial-torch.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
+/// program as well (docs/calibration.md, docs/tutorial-torch.md).
 const REHEARSALS: &[(&str, &str)] = &[
     (
         "rehearsal-flat",
@@ -54,6 +54,14 @@ const REHEARSALS: &[(&str, &str)] = &[
         include_str!("../../../../rig-configs/rehearsal-ball.toml"),
     ),
     (
+        "rehearsal-board",
+        include_str!("../../../../rig-configs/rehearsal-board.toml"),
+    ),
+    (
+        "rehearsal-edge",
+        include_str!("../../../../rig-configs/rehearsal-edge.toml"),
+    ),
+    (
         "rehearsal-tile",
         include_str!("../../../../rig-configs/rehearsal-tile.toml"),
     ),
@@ -62,6 +70,14 @@ const REHEARSALS: &[(&str, &str)] = &[
         include_str!("../../../../rig-configs/rehearsal-torch.toml"),
     ),
 ];
+
+/// The bench of which all rehearsals of calibrations are.
+pub const REHEARSAL: &str = "rehearsal";
+
+/// Whether a rehearsal has this name.
+pub fn is_rehearsal(name: &str) -> bool {
+    REHEARSALS.iter().any(|(known, _)| *known == name)
+}
 
 /// The folder that is searched for rigs by name.
 const FOLDER: &str = "rig-configs";
@@ -262,7 +278,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-board", "rehearsal-edge", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(
