@@ -559,6 +559,42 @@ pub fn bodies() -> Vec<Row> {
             &[422],
         ),
         post(
+            "a calibration that is none",
+            "/api/guides/measure",
+            r#"{"kind": "status", "values": {"out": "/tmp"}}"#,
+            &[404],
+        ),
+        post(
+            "an option that a calibration does not offer",
+            "/api/guides/measure",
+            r#"{"kind": "sensor", "values": {"out": "/tmp/pwned"}}"#,
+            &[422],
+        ),
+        post(
+            "a calibration of a session elsewhere",
+            "/api/guides/measure",
+            r#"{"kind": "pose", "sessions": ["../elsewhere"]}"#,
+            &[404],
+        ),
+        post(
+            "a calibration of a session that is a link",
+            "/api/guides/measure",
+            r#"{"kind": "pose", "sessions": ["link"]}"#,
+            &[404],
+        ),
+        post(
+            "lights of a target for a shell",
+            "/api/guides/capture",
+            r#"{"kind": "lights", "lights": "1; touch pwned"}"#,
+            &[409, 422],
+        ),
+        post(
+            "a record that nobody measured",
+            "/api/guides/accept",
+            "{}",
+            &[409],
+        ),
+        post(
             "a queue of lights for a shell",
             "/api/queue/next",
             r#"{"lights": "1; touch pwned"}"#,
