@@ -108,6 +108,7 @@ impl Observer for Bar<'_> {
             | Progress::Fit { .. }
             | Progress::Fitted { .. }
             | Progress::FitFailed { .. }
+            | Progress::Calibrating { .. }
             | Progress::Dropped { .. } => {}
             Progress::Frame { frame, done, .. } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);

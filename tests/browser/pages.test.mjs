@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { after, afterEach, before, test } from "node:test";
 import { LAPTOP, PHONE, closePages, openPage, press, startBrowser, startConsole, textOf, until, untilCapture, violations, workplace } from "./bench.mjs";
 
-const VIEWS = ["#bench", "#capture", "#queue", "#sessions", "#setup"];
+const VIEWS = ["#bench", "#calibrate", "#capture", "#queue", "#sessions", "#setup"];
 
 let place, desk, browser;
 before(async () => {

@@ -47,8 +47,13 @@ try {
   await shoot(phone, "phone");
   await untilCapture(page, "complete");
   await press(page, "#open-session");
-  await until(page, "the spheres are there", () => document.querySelector("#view-sessions details[open] img")?.naturalWidth > 0);
-  await new Promise((resolve) => setTimeout(resolve, 1500));
+  // Pictures are loaded when they come near the window.
+  await until(page, "the spheres are there", () => {
+    document.querySelector("#view-sessions details.fit")?.scrollIntoView();
+    return document.querySelector("#view-sessions details.fit .gallery img")?.naturalWidth > 0;
+  });
+  await page.evaluate(() => window.scrollTo(0, 0));
+  await until(page, "the captured lights are there", () => [...document.querySelectorAll("#view-sessions .panel:not(.fit) .gallery img")].every((one) => one.naturalWidth > 0));
   await shoot(page, "after");
 } finally {
   await browser.close();

@@ -121,6 +121,11 @@ test("a bench is edited and chosen, and its lamp held by hand; STOP ends a quest
   await untilCapture(page, "interrupted", "failed");
   assert.ok(await page.evaluate(() => !document.querySelector("#hands").checkVisibility()));
   await press(page, "#resume-only");
+  // "Stop after this frame" waits for nobody's hands.
+  await asked("");
+  await press(page, "#finish");
+  await untilCapture(page, "interrupted");
+  await press(page, "#resume-only");
   // Every request is confirmed until the end.
   const done = setInterval(() => page.evaluate(() => document.querySelector("#hands")?.checkVisibility() && document.querySelector("#hand-done").click()).catch(() => {}), 50);
   await untilCapture(page, "complete");

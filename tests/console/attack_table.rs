@@ -336,6 +336,12 @@ pub fn bodies() -> Vec<Row> {
         a bench that is an option | /api/rigs/use | {"rig": "--help"} | 404
         a rig file elsewhere is saved | /api/rigs/save | {"rig": "../x.toml", "text": "", "sum": ""} | 404
         a sample of the queue that is a path | /api/queue/add | {"text": "../../pwned"} | 422
+        a calibration that is none | /api/guides/measure | {"kind": "status", "values": {"out": "/tmp"}} | 404
+        an option that a calibration does not offer | /api/guides/measure | {"kind": "sensor", "values": {"out": "/tmp/pwned"}} | 422
+        a calibration of a session elsewhere | /api/guides/measure | {"kind": "pose", "sessions": ["../elsewhere"]} | 404
+        a calibration of a session that is a link | /api/guides/measure | {"kind": "pose", "sessions": ["link"]} | 404
+        lights of a target for a shell | /api/guides/capture | {"kind": "lights", "lights": "1; touch pwned"} | 409 422
+        a record that nobody measured | /api/guides/accept | {} | 409
         a queue of lights for a shell | /api/queue/next | {"lights": "1; touch pwned"} | 422
         the next of no queue | /api/queue/next | {"lights": "1"} | 409
         an answer that nobody asked for | /api/capture/answer | {"number": 1, "done": true} | 409

@@ -284,7 +284,7 @@ fn a_page_edits_and_chooses_benches_of_its_folder_alone() {
     let names: Vec<_> = (rigs["rigs"].as_array().unwrap().iter())
         .map(|rig| rig["rig"].as_str().unwrap().to_owned())
         .collect();
-    assert_eq!(names, ["simulated", "arm.toml"]);
+    assert_eq!(names, ["simulated", "rehearsal-flat", "arm.toml"]);
 
     // What may not be saved, and what may.
     let opened = console.get("/api/rigs/text?rig=arm.toml").json();
@@ -322,7 +322,7 @@ fn a_page_edits_and_chooses_benches_of_its_folder_alone() {
     let chosen = console.post("a", "/api/rigs/use", &json!({"rig": "arm.toml"}));
     assert_eq!(chosen.status, 202, "{chosen:?}");
     let began = Instant::now();
-    while console.get("/api/rigs").json()["rigs"][1]["in_use"] != true {
+    while console.get("/api/rigs").json()["rigs"][2]["in_use"] != true {
         assert!(began.elapsed() < Duration::from_secs(30));
         std::thread::sleep(Duration::from_millis(50));
     }

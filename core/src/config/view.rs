@@ -10,6 +10,8 @@ use super::mesh::MeshSpec;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::shape::read_shape;
+use crate::geometry::files::MeshFormat;
+use crate::geometry::placement::Placement;
 use crate::geometry::{FormError, Mesh, Shape};
 use crate::transport::{Camera, CameraBody, Coefficients, LensSpec, Projection, Shading};
 
@@ -158,7 +160,7 @@ pub enum SurfaceSpec {
 }
 
 impl SurfaceSpec {
-    /// Takes `mesh` with what says how it is to be taken, or `shape`, and `shading`.
+    /// Takes `mesh` with what says how it is to be taken, `shape` or `obj`, and `shading`.
     pub fn take(table: &mut Section) -> Result<(Self, Shading), ConfigError> {
         let surface = Self::take_alone(table)?;
         let shading = take_shading(table)?;
@@ -177,6 +179,13 @@ impl SurfaceSpec {
     fn take_alone(table: &mut Section) -> Result<Self, ConfigError> {
         let mesh = table.path("mesh")?.optional();
         let shape = table.section("shape")?.optional();
+        let obj = table.parsed("obj", "a mesh as Wavefront OBJ text, millimetres", made)?;
+        if let Some(made) = obj.optional() {
+            return match mesh.is_some() || shape.is_some() {
+                true => Err(table.conflict("obj", "given", "absent where `mesh` or `shape` is")),
+                false => Ok(made),
+            };
+        }
         match (mesh, shape) {
             (Some(mesh), None) => Ok(Self::Mesh(MeshSpec::take(mesh, table)?)),
             (None, Some(shape)) => Ok(Self::Shape(read_shape(shape)?)),
@@ -186,6 +195,11 @@ impl SurfaceSpec {
             (None, None) => Err(table.missing("mesh", "a mesh file, or `shape` a table")),
         }
     }
+}
+
+fn made(obj: &str) -> Option<SurfaceSpec> {
+    let mesh = MeshFormat::Obj.parse(obj.as_bytes(), &Placement::default());
+    Some(SurfaceSpec::Made(Arc::new(mesh.ok()?)))
 }
 
 /// The sample under the camera, in its own frame.

@@ -4,7 +4,7 @@
 
 use rig_core::{brdf, file_system, geometry, radiance_image, shown, transport, units};
 
-use rig_bench::{beneath, capture, catalogue, fault, queue, session, workflow};
+use rig_bench::{beneath, calibrating, capture, catalogue, fault, queue, session, workflow};
 use rig_desk::{export, report};
 use rig_device::{device, interrupt, radiometry};
 use rig_setup::{calibration, checksum, config, plot, shell_words};

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::light::Terminal;
+use super::light::attendant;
 use super::target::CommonArgs;
 use crate::calibrating::FlatRequest;
 use crate::calibration::procedure::ProcedureOptions;
@@ -49,9 +49,7 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
         radiance: certified.map(|(value, std)| Measured { value, std }),
         open: &open::of_port()?,
     };
-    let terminal = Terminal::new(context);
-    let measured = request.measure(&place, &terminal)?;
-    terminal.finish();
+    let measured = request.measure(&place, attendant(args.common.events, context)?.as_ref())?;
     let (flat, scale, values) = measured.keep(&mut place)?;
     // What was found.
     let (nonuniformity, std) = (measured.fit.nonuniformity(), values.std);

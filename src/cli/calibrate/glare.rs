@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use super::light::Terminal;
+use super::light::attendant;
 use super::target::{CommonArgs, advised};
 use super::white::parse_region;
 use crate::calibrating::{CardRequest, image_of};
@@ -57,12 +57,7 @@ pub(super) fn run(args: &GlareArgs, context: &Context) -> Result<(), CliError> {
             place = place.measured_from(source, rig.config.camera.resolution_px);
             request.measure_image(&image)?
         }
-        None => {
-            let terminal = Terminal::new(context);
-            let measured = request.measure(&terminal)?;
-            terminal.finish();
-            measured
-        }
+        None => request.measure(attendant(args.common.events, context)?.as_ref())?,
     };
     let kept = measured.keep(&place)?;
     let values = &measured.values;

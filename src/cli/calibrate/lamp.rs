@@ -1,6 +1,6 @@
 //! `rig calibrate lamp`: warm-up, drift and flicker.
 
-use super::light::Terminal;
+use super::light::attendant;
 use super::target::{CommonArgs, noted};
 use crate::calibrating::LampRequest;
 use crate::calibration::lamp_watch::WatchOptions;
@@ -40,9 +40,10 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
     if !rig.config.is_simulated() {
         context.note("a white card where the lamp lights it evenly, no other light, the lamp cold");
     }
-    let terminal = Terminal::new(context);
-    let measured = request.measure(&open::options(&rig.config)?, &terminal)?;
-    terminal.finish();
+    let measured = request.measure(
+        &open::options(&rig.config)?,
+        attendant(args.common.events, context)?.as_ref(),
+    )?;
     let kept = noted(measured.keep(&mut place)?, context);
     // What was found.
     let v = &measured.fit.values;

@@ -1,26 +1,32 @@
-//! The person at the bench of a calibration, asked at the terminal.
+//! The person at the bench of a calibration, asked at the terminal or, with `--events`, by the
+//! program that reads the events.
 
 use std::io::{BufRead, IsTerminal};
 
 use indicatif::ProgressBar;
 
 use crate::calibrating::Attendant;
-use crate::cli::Context;
+use crate::capture::event_lines::EventLines;
+use crate::capture::remote_operator::RemoteOperator;
 use crate::cli::output::write_stderr;
+use crate::cli::{CliError, Context};
 
-/// Asks on stderr and receives on stdin; shows a bar.
-pub(super) struct Terminal(ProgressBar);
-
-impl Terminal {
-    pub fn new(context: &Context) -> Self {
-        Self(ProgressBar::with_draw_target(
+/// Who is asked.
+pub(super) fn attendant(events: bool, context: &Context) -> Result<Box<dyn Attendant>, CliError> {
+    Ok(match events {
+        true => Box::new(RemoteOperator::of(&EventLines::start()?)),
+        false => Box::new(Terminal(ProgressBar::with_draw_target(
             Some(0),
             context.draw_target(),
-        ))
-    }
+        ))),
+    })
+}
 
-    /// Clears the bar.
-    pub fn finish(self) {
+/// Asks on stderr and receives on stdin; shows a bar, and clears it at last.
+struct Terminal(ProgressBar);
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
         self.0.finish_and_clear();
     }
 }

@@ -1,6 +1,6 @@
 //! `rig calibrate sensor`: photon transfer.
 
-use super::light::Terminal;
+use super::light::attendant;
 use super::target::{CommonArgs, noted};
 use crate::calibrating::SensorRequest;
 use crate::calibration::procedure::ProcedureOptions;
@@ -27,9 +27,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         frames: args.frames,
         open: &open::of_port()?,
     };
-    let terminal = Terminal::new(context);
-    let measured = request.measure(&terminal)?;
-    terminal.finish();
+    let measured = request.measure(attendant(args.common.events, context)?.as_ref())?;
     let fit = &measured.fit;
     let kept = noted(measured.keep(&mut place)?, context);
     #[cfg(feature = "reports")]

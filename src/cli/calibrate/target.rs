@@ -31,6 +31,9 @@ pub(super) struct CommonArgs {
     /// What was found, as JSON
     #[arg(long)]
     pub json: bool,
+    /// Progress and questions as JSON lines on stdout, answers as lines on stdin
+    #[arg(long, hide = true, conflicts_with = "json")]
+    pub events: bool,
 }
 
 /// A record's file, and what was found.

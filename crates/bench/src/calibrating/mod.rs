@@ -11,6 +11,7 @@
 //! | `glare` | the light that the lens scatters |
 //! | `lights`, `white` | where the lights are, and how strong |
 //! | `pose` | where the sample lies, and whether it is the same in every direction |
+//! | `placing`, `trial` | whether the target lies before the camera; records until they are accepted |
 //! | `place` | where records and their figures go |
 
 mod camera;
@@ -21,9 +22,11 @@ mod glare;
 mod lamp;
 mod lights;
 mod place;
+pub mod placing;
 mod pose;
 mod response;
 mod sensor;
+pub mod trial;
 mod white;
 
 pub use camera::{CameraRequest, MeasuredCamera};
@@ -42,6 +45,8 @@ pub use white::{MeasuredWhite, WhiteRequest};
 use std::path::Path;
 
 use crate::calibration::procedure::ProcedureOptions;
+use crate::capture::remote_operator::RemoteOperator;
+use crate::capture::{HandWork, Progress};
 use crate::config::CameraConfig;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::workflow::{SessionImages, session_images};
@@ -57,6 +62,28 @@ pub trait Attendant {
 
     /// So many steps are done.
     fn progress(&self, done: u64, of: u64);
+}
+
+/// Asked, and informed, through the program that reads the events.
+impl Attendant for RemoteOperator {
+    fn cover(&self, cover: bool) -> bool {
+        self.has_done(match cover {
+            true => HandWork::Cover,
+            false => HandWork::Uncover,
+        })
+    }
+
+    fn switch(&self, on: bool) -> bool {
+        self.has_done(match on {
+            true => HandWork::LightOn,
+            false => HandWork::LightOff,
+        })
+    }
+
+    fn progress(&self, done: u64, of: u64) {
+        let done = done as f64 / of.max(1) as f64;
+        self.report(&Progress::Calibrating { done });
+    }
 }
 
 /// How frames of an even light are taken with this camera.

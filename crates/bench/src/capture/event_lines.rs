@@ -93,7 +93,7 @@ fn line(event: &Progress) -> String {
 fn room_of(event: &Progress) -> usize {
     use Progress::*;
     match event {
-        Frame { .. } | Left { .. } | Fit { .. } => SUPERSEDED,
+        Frame { .. } | Left { .. } | Fit { .. } | Calibrating { .. } => SUPERSEDED,
         Begun { .. }
         | Asked { .. }
         | Paused

@@ -105,8 +105,8 @@ pub enum Progress {
         #[serde(flatten)]
         target: StageAngles,
     },
-    /// The person at a manual stage is asked to do something; what they answer is a line of the
-    /// capture's stdin.
+    /// The person at the bench is asked to do something; what they answer is a line of this
+    /// process's stdin.
     Asked {
         /// Counts the requests up, from 1.
         number: u64,
@@ -202,11 +202,16 @@ pub enum Progress {
     },
     /// The fit failed; the capture is complete.
     FitFailed { error: String, hint: Option<String> },
+    /// A calibration takes its frames.
+    Calibrating {
+        /// Part of them that is taken, 0 to 1.
+        done: f64,
+    },
     /// The reader was too slow: events are missing here.
     Dropped { count: u64 },
 }
 
-/// What the person at a manual stage is asked to do.
+/// What the person at the bench is asked to do.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case")]
 pub enum HandWork {
@@ -219,6 +224,14 @@ pub enum HandWork {
     },
     /// Switch the lamp off.
     LampOff,
+    /// Cover the lens.
+    Cover,
+    /// Take the cover off.
+    Uncover,
+    /// Switch the even light on and leave the room as it is.
+    LightOn,
+    /// Likewise off.
+    LightOff,
 }
 
 /// Which frame.

@@ -1,5 +1,5 @@
-//! The person at the bench of a manual stage, asked through the program that reads the capture's
-//! events.
+//! The person at the bench, at a manual stage or of a calibration, asked through the program that
+//! reads the events.
 
 use std::io::BufRead;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -53,17 +53,17 @@ impl RemoteOperator {
             stops: AtomicU64::new(0),
         }
     }
-}
 
-impl Operator for RemoteOperator {
-    fn ask(&self, request: Request) -> bool {
+    /// Reports this to the reader too.
+    pub fn report(&self, event: &Progress) {
+        self.lines.send(event);
+    }
+
+    /// Returns once the person has done it, or has said that they have not: `false`, as where
+    /// nobody answers any more.
+    pub fn has_done(&self, work: HandWork) -> bool {
         let stops = self.stops.load(Ordering::Acquire);
         let number = self.asked.fetch_add(1, Ordering::AcqRel) + 1;
-        let work = match request {
-            Request::Place { angles, .. } => HandWork::Place(angles),
-            Request::Lamp(LampState::Off) => HandWork::LampOff,
-            Request::Lamp(LampState::On(channel)) => HandWork::LampOn { channel },
-        };
         self.lines.send(&Progress::Asked { number, work });
         let answers = self.answers.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
@@ -75,6 +75,16 @@ impl Operator for RemoteOperator {
                 _ => {}
             }
         }
+    }
+}
+
+impl Operator for RemoteOperator {
+    fn ask(&self, request: Request) -> bool {
+        self.has_done(match request {
+            Request::Place { angles, .. } => HandWork::Place(angles),
+            Request::Lamp(LampState::Off) => HandWork::LampOff,
+            Request::Lamp(LampState::On(channel)) => HandWork::LampOn { channel },
+        })
     }
 
     fn tell(&self, request: Request) {

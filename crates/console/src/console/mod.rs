@@ -9,6 +9,7 @@
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`facts`]: what a page learns about the rig.
+//! - [`guides`]: calibrations from the placing of their target to their record.
 //! - [`queue`]: many samples one after the other.
 //! - [`rigs`]: the rig files of the folder, edited and chosen.
 //! - [`control`]: which page controls the bench.
@@ -23,6 +24,7 @@ pub mod catalogue;
 pub mod control;
 pub mod facts;
 pub mod frames;
+pub mod guides;
 pub mod held_devices;
 pub mod hub;
 pub mod jobs;

@@ -64,10 +64,13 @@ fn shown(queue: &Queue) -> Value {
     let rows = queue.samples().iter().map(|sample| {
         let runs = queue.entries().iter();
         let runs = runs.filter(|run| run.sample == sample.name);
+        let (lights, light) = texts_of(sample);
         json!({
             "sample": sample.name,
             "material": sample.material,
             "comment": sample.comment,
+            "lights": lights,
+            "light": light,
             "planned": queue.planned(sample),
             "left": queue.left_of(sample),
             "left_out": queue.left_out(sample),
@@ -297,21 +300,26 @@ fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
 
 /// The sample's lights as options, else these.
 fn lights_of(sample: &Sample, others: &str) -> Vec<std::ffi::OsString> {
-    let lights = |text: &str| vec![option("--lights=", text)];
+    match texts_of(sample) {
+        (Some(lights), _) => vec![option("--lights=", lights)],
+        (None, listed) if listed.is_empty() => vec![option("--lights=", others)],
+        (None, listed) => listed.iter().map(|at| option("--light=", at)).collect(),
+    }
+}
+
+/// The sample's own lights as `--lights` takes them, or its directions as `--light` does.
+fn texts_of(sample: &Sample) -> (Option<String>, Vec<String>) {
+    let lights = |text: String| (Some(text), Vec::new());
     match &sample.lights {
-        None => lights(others),
-        Some(Lights::Count(count)) => lights(&count.to_string()),
-        Some(Lights::All) => lights("all"),
-        Some(Lights::Best(count)) => lights(&format!("best:{count}")),
-        Some(Lights::Listed(listed)) => listed
-            .iter()
-            .map(|at| {
-                option(
-                    "--light=",
-                    format!("{},{}", at.azimuth_deg, at.elevation_deg),
-                )
-            })
-            .collect(),
+        None => (None, Vec::new()),
+        Some(Lights::Count(count)) => lights(count.to_string()),
+        Some(Lights::All) => lights("all".to_owned()),
+        Some(Lights::Best(count)) => lights(format!("best:{count}")),
+        Some(Lights::Listed(listed)) => {
+            let each = listed.iter();
+            let each = each.map(|at| format!("{},{}", at.azimuth_deg, at.elevation_deg));
+            (None, each.collect())
+        }
     }
 }
 

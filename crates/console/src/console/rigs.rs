@@ -23,7 +23,7 @@ use super::refusal::{Accepted, Refusal, accepted};
 use super::request::Asked;
 use crate::beneath;
 use crate::checksum::sha256_hex;
-use crate::config::{ResolvedRig, RigConfig, Surroundings, resolve_rig};
+use crate::config::{REHEARSAL, ResolvedRig, RigConfig, Surroundings, is_rehearsal, resolve_rig};
 use crate::units::StageAngles;
 use rig_core::{outside_file, whole_file};
 
@@ -31,8 +31,9 @@ use rig_core::{outside_file, whole_file};
 const LONGEST: u64 = 60 << 10;
 /// So many rig files are listed.
 const MOST: usize = 100;
-/// The simulated bench that is built in, as `--rig` takes it.
-const SIMULATED: &str = "simulated";
+/// The simulated benches that are built in: names, and as `--rig` takes them. That of the
+/// rehearsals begins before an even light.
+const SIMULATED: [[&str; 2]; 2] = [["simulated", "simulated"], [REHEARSAL, "rehearsal-flat"]];
 
 /// Called with the bench that the console is to work with from now on, and its name as `--rig`
 /// takes it. Returns at once.
@@ -79,14 +80,9 @@ impl Rigs {
         let files = files.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
         let mut files: Vec<_> = files.filter(|file| is_rig_file(file)).take(MOST).collect();
         files.sort();
-        let mut all = vec![Entry {
-            rig: SIMULATED.to_owned(),
-            name: Some(SIMULATED.to_owned()),
-            error: None,
-            in_use: self.named == SIMULATED,
-            changed: false,
-            can_edit: false,
-        }];
+        let mut all: Vec<_> = SIMULATED
+            .map(|[name, rig]| self.simulated(name, rig))
+            .into();
         all.extend(files.into_iter().filter_map(|file| self.entry(file)));
         if all.iter().all(|entry| !entry.in_use) {
             let text = outside_file::read_text(Path::new(&self.rig.file), LONGEST);
@@ -100,6 +96,21 @@ impl Rigs {
             });
         }
         all
+    }
+
+    /// One that is built in.
+    fn simulated(&self, name: &str, rig: &str) -> Entry {
+        // A rehearsal of the same bench may be in use.
+        let in_use = self.named == rig
+            || is_rehearsal(&self.named) && is_rehearsal(rig) && self.rig.config.name == name;
+        Entry {
+            rig: if in_use { &self.named } else { rig }.to_owned(),
+            name: Some(name.to_owned()),
+            error: None,
+            in_use,
+            changed: false,
+            can_edit: false,
+        }
     }
 
     /// What is known of a file; `None` if it is no rig file.
@@ -183,7 +194,7 @@ impl Rigs {
     /// The bench that the console is to work with.
     fn chosen(&self, named: &str) -> Result<ResolvedRig, Refusal> {
         let known = self.list();
-        if !known.iter().any(|entry| entry.rig == named) {
+        if !is_rehearsal(named) && !known.iter().any(|entry| entry.rig == named) {
             return Err(Refusal::missing("there is no such bench"));
         }
         if let Some(kind) = self.jobs.running() {

@@ -13,6 +13,7 @@ use super::catalogue::{self, SessionPages};
 use super::control::Control;
 use super::facts::{Mode, facts};
 use super::frames;
+use super::guides::{self, Guides};
 use super::held_devices::{self, BenchPorts, HeldDevices};
 use super::hub::Hub;
 use super::jobs::{self, JobError, Jobs, Kind, Program, Work};
@@ -151,19 +152,19 @@ impl Console {
         let bench = HeldDevices::new(hub.clone(), (around.ports)(rig, &control))?;
         let pages = Arc::new(SessionPages::new(folder, around.advisor.clone()));
 
-        // A capture gets the devices that the bench holds.
+        // A job gets the devices that the bench holds.
         let lender = bench.clone();
-        jobs.lend_devices(Arc::new(move || {
+        jobs.lend_devices(Arc::new(move |kind| {
             let devices = |fault: Fault| JobError::Devices {
                 fact: fault.error,
                 hint: fault.hint,
             };
-            let loan = lender.lend("a capture", CLOSING).map_err(devices)?;
+            let loan = lender.lend(kind.what(), CLOSING).map_err(devices)?;
             Ok(Box::new(loan) as jobs::Loan)
         }));
         let borrowers = jobs.clone();
         bench.stop_borrower_by(Box::new(move || {
-            borrowers.is_capturing() && borrowers.stop().is_some()
+            borrowers.has_devices() && borrowers.stop().is_some()
         }));
 
         let wake = around.wake.clone();
@@ -183,6 +184,11 @@ impl Console {
             ))
             .merge(catalogue::routes(pages))
             .merge(catalogue::action_routes(jobs.clone()))
+            .merge(guides::routes(Guides::new(
+                jobs.clone(),
+                bench.clone(),
+                rig,
+            )))
             .merge(queue::routes(jobs.clone()))
             .merge(rigs::routes(rigs));
         let running = server.start(Parts {

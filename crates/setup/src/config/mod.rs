@@ -17,6 +17,8 @@ pub mod simulation;
 pub mod stage;
 
 pub use camera::{CameraConfig, CameraDriver};
-pub use resolve::{BUILT_IN, Origin, RIG_FILE, ResolvedRig, Surroundings, resolve_rig};
+pub use resolve::{
+    BUILT_IN, Origin, REHEARSAL, RIG_FILE, ResolvedRig, Surroundings, is_rehearsal, resolve_rig,
+};
 pub use rig::RigConfig;
 pub use rig_core::config::*;

@@ -29,13 +29,23 @@ pub const BUILT_IN: &[(&str, &str)] = shipped![
 ];
 
 /// Simulated benches on which calibrations and the bench of a torch are rehearsed, built into the
-/// program as well (docs/calibration.md, docs/tutorial-torch.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
+/// program as well (docs/calibration.md, docs/tutorial-torch.md).
 const REHEARSALS: &[(&str, &str)] = shipped![
     "rehearsal-flat",
     "rehearsal-ball",
+    "rehearsal-board",
+    "rehearsal-edge",
     "rehearsal-tile",
     "rehearsal-torch",
 ];
+
+/// The bench of which all rehearsals of calibrations are.
+pub const REHEARSAL: &str = "rehearsal";
+
+/// Whether a rehearsal has this name.
+pub fn is_rehearsal(name: &str) -> bool {
+    REHEARSALS.iter().any(|(known, _)| *known == name)
+}
 
 /// The folder that is searched for rigs by name.
 const FOLDER: &str = "rig-configs";
@@ -236,7 +246,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-board", "rehearsal-edge", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

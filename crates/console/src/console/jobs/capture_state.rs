@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::capture::{DriftSpan, Ending, FrameEvent, HandWork, Progress, Stamped};
+use crate::capture::{DriftSpan, Ending, FrameEvent, Progress, Stamped};
 use crate::radiometry::exposure::BracketStep;
 use crate::session::fit_record::Verdict;
 use crate::units::StageAngles;
@@ -36,8 +36,6 @@ pub struct CaptureState {
     pub frame: Option<StoredFrame>,
     /// The exposures of the present light.
     pub bracket: Vec<BracketStep>,
-    /// What the person at a manual stage is asked to do now.
-    pub asked: Option<Question>,
     /// Change of the lamp over the whole session, percent.
     pub drift_percent: Option<f64>,
     /// Its standard uncertainty, percent.
@@ -56,16 +54,6 @@ pub struct CaptureState {
     is_resumed: bool,
     #[serde(skip)]
     stored: u64,
-}
-
-/// An open question to the person at a manual stage.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Question {
-    /// By which it is answered.
-    pub number: u64,
-    /// What to do.
-    #[serde(flatten)]
-    pub work: HandWork,
 }
 
 /// What a capture does.
@@ -181,7 +169,6 @@ impl CaptureState {
             }
             Resumed { .. } => self.is_resumed = true,
             Homing => self.state = Phase::Homing,
-            Asked { number, work } => self.asked = Some(Question { number, work }),
             Moving { light, .. } => {
                 self.state = Phase::Moving;
                 self.turn_to(light);
@@ -256,20 +243,15 @@ impl CaptureState {
                 self.warn(format!("the fit failed: {error}"));
                 self.done = 1.0;
             }
+            // Of the job.
+            Asked { .. } | Calibrating { .. } => {}
             Dropped { count } => self.warn(format!("{count} reports of the capture were lost")),
         }
-    }
-
-    /// Whether this is the open question; it is open no more.
-    pub fn answered(&mut self, number: u64) -> bool {
-        let is_open = |question: &Question| question.number == number;
-        self.asked.take_if(|question| is_open(question)).is_some()
     }
 
     /// The process has ended; whatever it did not report itself.
     pub fn process_ended(&mut self, was_stopped: bool) {
         self.left_s = None;
-        self.asked = None;
         match self.state {
             Phase::Complete | Phase::Interrupted | Phase::Failed => {}
             // The capture was complete before its fit began.
@@ -280,7 +262,6 @@ impl CaptureState {
     }
 
     fn end(&mut self, outcome: Ending, session: Option<String>, error: Option<String>) {
-        self.asked = None;
         self.state = match outcome {
             Ending::Complete => Phase::Complete,
             Ending::Interrupted => Phase::Interrupted,

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::Work;
 use super::log::Log;
-use crate::capture::Progress;
+use crate::capture::{HandWork, Progress};
 
 /// What a job is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -20,6 +20,8 @@ pub enum Kind {
     Fit,
     /// `rig export`.
     Export,
+    /// `rig calibrate`.
+    Calibration,
 }
 
 impl Kind {
@@ -29,6 +31,7 @@ impl Kind {
             Kind::Capture => "a capture",
             Kind::Fit => "a fit",
             Kind::Export => "an export",
+            Kind::Calibration => "a calibration",
         }
     }
 }
@@ -51,12 +54,24 @@ pub enum State {
     Interrupted,
 }
 
+/// An open question to the person at the bench.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Question {
+    /// By which it is answered.
+    pub number: u64,
+    /// What to do.
+    #[serde(flatten)]
+    pub work: HandWork,
+}
+
 /// A job as the page shows it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct JobState {
     pub kind: Option<Kind>,
     pub state: Option<State>,
     pub log: Log,
+    /// What the person at the bench is asked to do now.
+    pub asked: Option<Question>,
     pub result: Option<String>,
     command: Option<String>,
     pid: Option<u32>,
@@ -90,6 +105,12 @@ impl JobState {
             Progress::Continued if self.state == Some(State::Paused) => {
                 self.state = Some(State::Running);
             }
+            Progress::Asked { number, work } => {
+                let (number, work) = (*number, *work);
+                self.asked = Some(Question { number, work });
+            }
+            Progress::Ended { .. } => self.asked = None,
+            Progress::Calibrating { done } => self.progress = Some(json!({"done": done})),
             Progress::Fit { stage, done } => {
                 self.progress = Some(json!({"stage": stage, "done": done}));
             }
@@ -98,8 +119,17 @@ impl JobState {
         }
     }
 
+    /// Whether this is the open question; it is open no more.
+    pub fn answered(&mut self, number: u64) -> bool {
+        let asked = &mut self.asked;
+        asked
+            .take_if(|question| question.number == number)
+            .is_some()
+    }
+
     pub fn end(&mut self, status: Option<ExitStatus>) {
         self.log.finish();
+        self.asked = None;
         // As a shell shows it.
         let code = status.and_then(|is| is.code().or_else(|| is.signal().map(|s| 128 + s)));
         self.exit = code;
@@ -130,6 +160,7 @@ impl JobState {
             "download": self.downloads.first(),
             "downloads": self.downloads,
             "verdict": self.verdict,
+            "asked": self.asked,
             "log": self.log.lines().collect::<Vec<_>>(),
             "result": self.result,
             "progress": self.progress,

@@ -1,4 +1,5 @@
-//! Work as processes of this very program: one job at a time (a capture, a fit, an export),
+//! Work as processes of this very program: one job at a time (a capture, a fit, a calibration, an
+//! export),
 //! and short commands whose JSON the page shows.
 //!
 //! A job is watched by threads: one reads its events, one its messages, one waits for its
@@ -29,7 +30,7 @@ pub use self::capture_state::{CaptureState, StoredFrame};
 pub use self::job_state::{Kind, State};
 pub use self::query::{Answer, QueryError, query};
 pub use self::routes::routes;
-pub(super) use self::routes::{capture, option, without_fit};
+pub(super) use self::routes::{SHORT, capture, option, without_fit};
 pub use crate::shell_words::command_line as shown;
 
 use self::job_state::JobState;
@@ -57,8 +58,8 @@ const MOST_ASKED: usize = 64;
 const KILL_AFTER: Duration = Duration::from_secs(10);
 
 /// Closes the devices that the console holds itself, lamp off, until what it returns is
-/// dropped.
-pub type Lend = Arc<dyn Fn() -> Result<Loan, JobError> + Send + Sync>;
+/// dropped; they go to a job of this kind.
+pub type Lend = Arc<dyn Fn(Kind) -> Result<Loan, JobError> + Send + Sync>;
 /// While it lasts the devices are the job's.
 pub type Loan = Box<dyn Send>;
 /// Called with each frame that a capture has on the disk: its session's folder, and its file
@@ -91,6 +92,8 @@ pub struct Work {
     pub downloads: Vec<String>,
     /// Whether the job has the console's terminal: its messages go there.
     pub at_terminal: bool,
+    /// Whether it needs the bench's devices.
+    pub takes_devices: bool,
 }
 
 impl Work {
@@ -103,6 +106,7 @@ impl Work {
             session: None,
             downloads: Vec::new(),
             at_terminal: false,
+            takes_devices: kind == Kind::Capture,
         }
     }
 }
@@ -157,13 +161,14 @@ struct Shared {
 #[derive(Default)]
 struct Run {
     kind: Option<Kind>,
+    takes_devices: bool,
     process: Option<Arc<Process>>,
     first_stop: Option<Instant>,
     /// Counts the requests to pause.
     pauses: u64,
     /// Signals that came before the process was there.
     waiting: Vec<Signal>,
-    /// Where a capture reads the answers of the person at a manual stage.
+    /// Where a job reads the answers of the person at the bench.
     stdin: Option<ChildStdin>,
     /// The devices are the job's.
     loan: Option<Loan>,
@@ -200,7 +205,7 @@ impl Jobs {
         jobs
     }
 
-    /// Called before each capture.
+    /// Called before each job that takes the devices.
     pub fn lend_devices(&self, lend: Lend) {
         let _ = self.0.lend.set(lend);
     }
@@ -220,9 +225,15 @@ impl Jobs {
         locked(&self.0.run).kind
     }
 
-    /// Whether a capture runs or is about to: the devices are its own.
+    /// Whether a capture runs or is about to.
     pub fn is_capturing(&self) -> bool {
         self.running() == Some(Kind::Capture)
+    }
+
+    /// Whether the devices are those of a job that runs or is about to.
+    pub fn has_devices(&self) -> bool {
+        let run = locked(&self.0.run);
+        run.kind.is_some() && run.takes_devices
     }
 
     /// The newest frame of the latest capture that is on the disk, and its session's folder.
@@ -259,24 +270,28 @@ impl Jobs {
         }
         *run = Run {
             kind: Some(work.kind),
+            takes_devices: work.takes_devices,
             ..Run::default()
         };
         drop(run);
         let line = shown("rig", &work.arguments);
 
-        // The process. A capture needs the devices that the console may hold.
-        let lend = self.0.lend.get().filter(|_| work.kind == Kind::Capture);
-        let begun = lend.map(|lend| lend()).transpose().and_then(|loan| {
-            let failed = |source| JobError::Begin {
-                command: line.clone(),
-                source,
-            };
-            // The devices may have been waited for.
-            if locked(&self.0.run).is_closed {
-                return Err(JobError::Ending);
-            }
-            Ok((loan, self.spawn(&work).map_err(failed)?))
-        });
+        // The process. It may need the devices that the console holds.
+        let lend = self.0.lend.get().filter(|_| work.takes_devices);
+        let begun = lend
+            .map(|lend| lend(work.kind))
+            .transpose()
+            .and_then(|loan| {
+                let failed = |source| JobError::Begin {
+                    command: line.clone(),
+                    source,
+                };
+                // The devices may have been waited for.
+                if locked(&self.0.run).is_closed {
+                    return Err(JobError::Ending);
+                }
+                Ok((loan, self.spawn(&work).map_err(failed)?))
+            });
         let (loan, (process, stdin, stdout, stderr)) = match begun {
             Ok(begun) => begun,
             Err(error) => {
@@ -323,12 +338,13 @@ impl Jobs {
                 .env("NO_COLOR", "1")
                 // What the terminal sends is for the console, which passes it on.
                 .process_group(0)
-                .stdin(match work.kind {
-                    Kind::Capture => Stdio::piped(),
-                    _ => Stdio::null(),
-                })
                 .stderr(Stdio::piped());
         }
+        // The page answers what is asked, also where the messages go to a terminal.
+        command.stdin(match work.kind {
+            Kind::Capture | Kind::Calibration => Stdio::piped(),
+            Kind::Fit | Kind::Export => Stdio::null(),
+        });
         let mut child = command.spawn()?;
         let pipes = (child.stdin.take(), child.stdout.take(), child.stderr.take());
         Ok((Arc::new(Process::new(child)), pipes.0, pipes.1, pipes.2))
@@ -496,11 +512,16 @@ impl Jobs {
         self.pass_on(&[Signal::INT]);
     }
 
-    /// Passes on that it is to end; one that is paused goes on, so that it can.
+    /// Passes on that it is to end; one that is paused goes on, so that it can, and one that
+    /// waits for the person at the bench waits no longer.
     pub fn pass_on(&self, signals: &[Signal]) {
         self.set_ending();
         self.send(signals);
         self.wake();
+        let asked = locked(&self.0.shown).job.asked;
+        if let Some(asked) = asked {
+            self.answer(asked.number, false);
+        }
     }
 
     /// Stops it now, as a second Ctrl-C does. Two signals of one kind at once may arrive as
@@ -552,15 +573,15 @@ impl Jobs {
         self.publish();
     }
 
-    /// Answers the capture's question of this number: whether the person has done what it asks.
+    /// Answers the job's question of this number: whether the person has done what it asks.
     /// `false` where that question is open no more.
     pub fn answer(&self, number: u64, done: bool) -> bool {
         let mut shown = locked(&self.0.shown);
-        let is_open = (shown.capture.as_mut()).is_some_and(|capture| capture.answered(number));
+        let is_open = shown.job.answered(number);
         drop(shown);
         if is_open && let Some(stdin) = &mut locked(&self.0.run).stdin {
             let line = serde_json::json!({"number": number, "done": done});
-            // A capture that has just ended takes none; an answer a question never fills the pipe.
+            // A job that has just ended takes none; an answer a question never fills the pipe.
             let _ = writeln!(stdin, "{line}");
         }
         self.publish();

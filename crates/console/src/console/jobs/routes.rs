@@ -15,17 +15,15 @@ use serde_json::{Value, json};
 use super::job_state::Kind;
 use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
 use crate::beneath;
-use crate::calibration::record::Kind as RecordKind;
 use crate::config::RIG_FILE;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
 use crate::session::layout::session_name;
-use crate::shell_words::quoted;
 
 /// A short command has so long.
-const SHORT: Duration = Duration::from_secs(30);
+pub const SHORT: Duration = Duration::from_secs(30);
 /// A plan of the best lights compares many.
 const PLANNING: Duration = Duration::from_secs(120);
 /// Lights that may be listed one by one.
@@ -116,7 +114,6 @@ impl From<QueryError> for Refusal {
 pub fn routes(jobs: Jobs) -> Router {
     Router::new()
         .route("/api/doctor", get(doctor))
-        .route("/api/calibrations", get(calibrations))
         .route("/api/devices", get(devices))
         .route("/api/setup", get(questions).post(set_up))
         .route("/api/plan", post(plan))
@@ -140,21 +137,6 @@ async fn shown_json(jobs: &Jobs, arguments: Vec<OsString>) -> Done {
 async fn doctor(State(jobs): State<Jobs>) -> Done {
     let rig = option("--rig=", &jobs.program().rig);
     shown_json(&jobs, vec!["doctor".into(), rig, "--json".into()]).await
-}
-
-async fn calibrations(State(jobs): State<Jobs>) -> Done {
-    let rig = option("--rig=", &jobs.program().rig);
-    let arguments = ["calibrate".into(), "status".into(), rig, "--json".into()];
-    let Json(mut status) = shown_json(&jobs, arguments.into()).await?;
-    let records = status.get_mut("records").and_then(Value::as_array_mut);
-    for record in records.into_iter().flatten() {
-        // How it is made, whether or not that is needed now.
-        if let Ok(kind) = serde_json::from_value::<RecordKind>(record["kind"].clone()) {
-            let (command, rig) = (kind.command(), quoted(&jobs.program().rig));
-            record["command"] = format!("rig calibrate {command} --rig {rig}").into();
-        }
-    }
-    Ok(Json(status))
 }
 
 async fn devices(State(jobs): State<Jobs>) -> Done {

@@ -53,7 +53,7 @@ fn a_jobs_events_messages_and_end_are_published() {
     // The devices are the capture's as long as the other end of the channel is there.
     let (loan, lent) = std::sync::mpsc::channel::<()>();
     let loan = Mutex::new(Some(loan));
-    jobs.lend_devices(Arc::new(move || Ok(Box::new(loan.lock().unwrap().take()))));
+    jobs.lend_devices(Arc::new(move |_| Ok(Box::new(loan.lock().unwrap().take()))));
     let line = jobs.start(work(Kind::Capture, &["capture", "--sample=a b"]));
     assert_eq!(line.unwrap(), "rig capture '--sample=a b'");
     assert!(jobs.wait().unwrap().success());
@@ -99,7 +99,7 @@ fn there_is_one_job_at_a_time_and_none_at_the_end() {
     let refused = jobs.start(work(Kind::Fit, &["fit"])).unwrap_err();
     assert!(refused.to_string().starts_with("rig fit: "), "{refused}");
     assert_eq!(jobs.running(), None);
-    jobs.lend_devices(Arc::new(|| {
+    jobs.lend_devices(Arc::new(|_| {
         Err(JobError::Devices {
             fact: "the stage is moving".to_owned(),
             hint: None,
@@ -108,6 +108,34 @@ fn there_is_one_job_at_a_time_and_none_at_the_end() {
     let refused = jobs.start(work(Kind::Capture, &["capture"])).unwrap_err();
     assert_eq!(refused.to_string(), "the stage is moving");
     assert_eq!(jobs.running(), None);
+}
+
+/// The page answers what a job asks; one that is to end waits for nobody.
+#[test]
+fn a_question_is_answered_or_given_up() {
+    let script = r#"trap '' INT
+        echo '{"event":"asked","at":"t","number":3,"do":"cover"}'
+        read answer; echo "$answer" >&2"#;
+    let acts: [(fn(&Jobs), bool); 2] = [
+        (
+            |jobs| assert!(!jobs.answer(2, true) && jobs.answer(3, true)),
+            true,
+        ),
+        (Jobs::finish, false),
+    ];
+    for (act, done) in acts {
+        let (_folder, jobs, hub) = jobs(script);
+        jobs.start(work(Kind::Calibration, &["calibrate"])).unwrap();
+        wait_until(|| topic(&hub, "job")["asked"]["do"] == "cover");
+        act(&jobs);
+        jobs.wait();
+        let job = topic(&hub, "job");
+        assert_eq!(
+            job["log"],
+            json!([json!({"number": 3, "done": done}).to_string()])
+        );
+        assert_eq!(job["asked"], Value::Null);
+    }
 }
 
 /// What a capture does on signals: it suspends itself, and counts requests to stop.

@@ -2,6 +2,7 @@
 
 import { facts, field, gate, h, panel, redraw, say } from "./dom.js";
 import { direction, digits, exposure, span } from "./format.js";
+import { automatic, isAutomatic } from "./exposing.js";
 import { attempt, blocked, capturing } from "./header.js";
 import { hemisphere } from "./hemisphere.js";
 import { livePanels } from "./live.js";
@@ -103,9 +104,16 @@ function settingsPanel() {
       attempt("api/bench/exposure", { exposure_ms, gain: state.bench?.settings?.gain ?? 1 });
     });
   }
-  form.append(half, twice);
+  const auto = h("button", { type: "button", class: "toggle", id: "auto-exposure", title: "Sets the exposure by what the frames show" }, "Auto");
+  auto.addEventListener("click", () => {
+    automatic(!isAutomatic());
+    show(last);
+  });
+  form.append(half, twice, auto);
+  let last = null;
   let known = null;
   function show(reason) {
+    last = reason;
     const bench = state.bench;
     const settings = bench?.settings;
     // What the camera applied replaces what was typed, but never while somebody types.
@@ -116,7 +124,9 @@ function settingsPanel() {
       known = key;
     }
     const off = reason ?? (bench?.connected ? (Number.isFinite(settings?.exposure_s) ? null : "The exposure of this camera cannot be set.") : "Connect first.");
-    for (const control of [time, gain, set, half, twice]) gate(control, off);
+    auto.setAttribute("aria-pressed", String(isAutomatic()));
+    gate(auto, off);
+    for (const control of [time, gain, set, half, twice]) gate(control, off ?? (isAutomatic() ? "It is set by itself: press “Auto” to end that." : null));
     const limits = bench?.camera?.exposure_range_s;
     say(range, limits && Number.isFinite(settings?.exposure_s) && Number.isFinite(limits[0]) ? `Applied: ${exposure(settings.exposure_s)}. Allowed: ${exposure(limits[0])} to ${exposure(limits[1])}.` : "");
   }

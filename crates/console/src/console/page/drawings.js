@@ -46,9 +46,34 @@ const DRAWINGS = {
   ]],
 };
 
-/** The drawing of a part; null if there is none. */
+/** A card, a standard or a board that lies level below the camera. */
+const card = path("M70 124L52 142H188L170 124Z", { class: "thick" });
+const above = [...camera, path("M112 38L74 122M128 38L166 122", { class: "thin" })];
+
+/** One for each calibration: what is put before the camera. */
+const TARGETS = {
+  sensor: ["The camera in front of an even light", () => [...camera, path("M70 80H170V96H70Z", { class: "thick" }), ...[85, 103, 120, 137, 155].map((x) => path(`M${x} 126V104`, { class: "span" })), text(120, 142, "even, steady light", { "text-anchor": "middle" }), text(178, 92, "diffuser")]],
+  lamp: ["The lamp lights a white card below the camera", () => [...above, card, lamp(206, 40), path("M202 46L150 128", { class: "span" }), text(206, 28, "lamp, cold", { "text-anchor": "middle" }), text(120, 138, "white card", { "text-anchor": "middle" })]],
+  camera: ["A checkerboard below the camera, then tilted", () => [...above, path("M66 120L174 132L166 146L58 134Z", { class: "thick" }), path("M93 123L85 137M120 126L112 140M147 129L139 143M62 127L170 139", { class: "thin" }), path("M188 140A70 70 0 0 0 194 112", { class: "span" }), text(200, 130, "tilt")]],
+  focus: ["Three edges across the camera’s axis, at three heights", () => [...above, ...[[96, 60], [112, 84], [128, 108]].map(([y, x]) => path(`M${x} ${y}H${x + 34}`, { class: "thick" })), span(196, 96, 196, 128), text(202, 116, "heights")]],
+  glare: ["A white card with a wide and a narrow hole, a black box behind each", () => [...above, path("M40 112H84M124 112H150M162 112H200", { class: "thick" }), path("M84 112V142H124V112", { class: "thick" }), path("M150 112V142H162V112", { class: "thick" }), text(104, 136, "box", { "text-anchor": "middle" }), text(206, 116, "white card")]],
+  lights: ["A polished ball halfway in a hole of a white card, below the camera", () => [...camera, path("M40 116H94M146 116H200", { class: "thick" }), s("circle", { cx: 120, cy: 116, r: 26, class: "thick" }), lamp(196, 48), path("M191 53L134 94L122 40", { class: "span" }), text(206, 120, "white card"), text(120, 120, "ball", { "text-anchor": "middle" })]],
+  white: ["A white standard in the sample’s place, below the camera", () => [...above, card, lamp(206, 40), path("M202 46L150 128", { class: "span" }), text(120, 138, "white standard", { "text-anchor": "middle" })]],
+  pose: ["The sample as it will be measured, below the camera", () => [...above, bowl, ground, text(120, 146, "the sample, seated", { "text-anchor": "middle" })]],
+};
+TARGETS.flat = TARGETS.sensor;
+
+/** The drawing of a part of a bench; null if there is none. */
 export function drawing(part) {
-  const known = DRAWINGS[part];
+  return drawn(DRAWINGS[part]);
+}
+
+/** The drawing of a calibration's target; null if there is none. */
+export function targetDrawing(kind) {
+  return drawn(TARGETS[kind]);
+}
+
+function drawn(known) {
   if (!known) return null;
   const [about, parts] = known;
   return s("svg", { viewBox: "0 0 280 150", class: "drawing", role: "img", "aria-label": about }, parts().map((one) => one.cloneNode(true)));

@@ -89,8 +89,8 @@ function showTitle() {
   const verdict = (isCapture ? capture?.verdict : job?.verdict) ?? null;
   const at = Number.isFinite(share) ? `${Math.floor(100 * share)} %` : null;
   const is = working()
-    ? [job.state === "paused" ? "paused" : null, at, isCapture && capture?.state !== "fitting" ? null : job.kind === "export" ? "export" : "fit"]
-    : job?.state && (isCapture || job.kind === "fit")
+    ? [job.state === "paused" ? "paused" : null, at, isCapture ? (capture?.state === "fitting" ? "fit" : null) : job.kind]
+    : job?.state && (isCapture || ["fit", "calibration"].includes(job.kind))
       ? [job.state === "done" ? (verdict ? verdictWords(verdict) : "done") : job.state]
       : [];
   const parts = [is.filter(Boolean).join(" "), is.length ? sample : null, `${desk.rig.name} – rig console`];

@@ -15,6 +15,7 @@ const MARKS = [
   ["outline", "Outline", true, "Where the rig file has the sample in the image"],
   ["cross", "Centre cross", false, "The centre of the image"],
   ["zoom", "Zoom 3×", false, "Three times as large; scroll to look around"],
+  ["whole", "Whole window", false, "As large as the window allows, below STOP"],
 ];
 
 /** The panels of the picture, and of what is measured in it. */
@@ -35,6 +36,7 @@ export function livePanels() {
 
   function apply() {
     stage.classList.toggle("zoomed", on.get("zoom"));
+    pictureElement.classList.toggle("whole", on.get("whole"));
     drawOverlay();
     view.newer();
   }
@@ -112,7 +114,8 @@ function toggle(name, label, about, on, apply) {
   const button = h("button", { type: "button", class: "toggle", title: about, "aria-pressed": String(on.get(name)) }, label);
   button.addEventListener("click", () => {
     on.set(name, !on.get(name));
-    localStorage.setItem(`rig-${name}`, String(on.get(name)));
+    // A page does not begin with a picture over all of it.
+    if (name !== "whole") localStorage.setItem(`rig-${name}`, String(on.get(name)));
     button.setAttribute("aria-pressed", String(on.get(name)));
     apply();
   });

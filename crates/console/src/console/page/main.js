@@ -2,6 +2,7 @@
 
 import { settleIdentity } from "./api.js";
 import { startBench } from "./bench.js";
+import { startCalibrate } from "./calibrate.js";
 import { startCapture } from "./capture.js";
 import { by } from "./dom.js";
 import { startHeader } from "./header.js";
@@ -11,7 +12,7 @@ import { startSetup } from "./setup.js";
 import { startShortcuts } from "./shortcuts.js";
 import { open, state, watch } from "./stream.js";
 
-const VIEWS = ["bench", "capture", "queue", "sessions", "setup"];
+const VIEWS = ["bench", "calibrate", "capture", "queue", "sessions", "setup"];
 const shown = {};
 let current = null;
 
@@ -52,6 +53,7 @@ async function start() {
   startHeader();
   startShortcuts();
   shown.bench = startBench(by("view-bench"));
+  shown.calibrate = startCalibrate(by("view-calibrate"));
   shown.capture = startCapture(by("view-capture"));
   shown.queue = startQueue(by("view-queue"));
   shown.sessions = startSessions(by("view-sessions"));

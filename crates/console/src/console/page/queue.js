@@ -28,13 +28,15 @@ export function startQueue(view) {
   );
   let queue = null;
   let shown = false;
-  let estimate = null;
+  /** What a sample takes, seconds, by its lights. */
+  const estimates = new Map();
   let was = null;
 
   /** Takes over a newer state of the queue. */
   function set(newer) {
     queue = newer;
     show();
+    plan();
   }
 
   async function load() {
@@ -52,15 +54,22 @@ export function startQueue(view) {
     }
   }
 
-  /** What one sample takes, by a dry run. */
+  /** The lights of a sample: its own, or those of the form. */
+  function lightsOf(row) {
+    const own = row.lights !== null || row.light.length > 0;
+    return { lights: own ? row.lights : lights.value.trim() || null, light: row.light, fit: false };
+  }
+
+  /** What each sample that is left takes, by a dry run for all of the same lights. */
   async function plan() {
-    try {
-      const { plan: planned } = await askWith("api/plan", { lights: lights.value.trim() || null, light: [], fit: false });
-      estimate = planned?.estimated_s ?? null;
-    } catch {
-      estimate = null;
+    for (const row of queue?.rows ?? []) {
+      const key = JSON.stringify(lightsOf(row));
+      if (row.left === 0 || estimates.has(key)) continue;
+      estimates.set(key, NaN);
+      const answer = await askWith("api/plan", lightsOf(row)).catch(() => null);
+      estimates.set(key, answer?.plan?.estimated_s ?? NaN);
+      show();
     }
-    show();
   }
 
   function show() {
@@ -69,7 +78,7 @@ export function startQueue(view) {
     more.show();
     const capture = state.capture;
     const under = capturing() && Number.isFinite(capture?.left_s) && capture.left_at ? Math.max(0, capture.left_s - secondsSince(capture.left_at)) : 0;
-    const all = Number.isFinite(estimate) ? queue.left * estimate + under : NaN;
+    const all = queue.rows.reduce((sum, row) => sum + (row.left > 0 ? row.left * (estimates.get(JSON.stringify(lightsOf(row))) ?? NaN) : 0), under);
     const count = queue.rows.length;
     say(left, count === 0 ? "None yet." : `${count} ${count === 1 ? "sample" : "samples"}, ${queue.left} to capture${Number.isFinite(all) && all > 0 ? `: about ${span(all)} on the bench` : ""}`);
     const reason = blocked();
@@ -89,7 +98,6 @@ export function startQueue(view) {
     if (on && !shown) {
       shown = true;
       load();
-      plan();
     }
     shown = on;
   };
@@ -154,7 +162,7 @@ function nextPanel(how, set) {
     const share = state.capture?.state === "fitting" ? state.job?.progress?.done : (state.capture?.done ?? state.job?.progress?.done);
     if (Number.isFinite(share)) bar.value = share;
     else bar.removeAttribute("value");
-    say(about, busy && state.capture?.asked ? "You are asked for something: press “Watch”." : "");
+    say(about, busy && state.job?.asked ? "You are asked for something: press “Watch”." : "");
     watchIt.hidden = !busy;
     go.hidden = busy || next.step === "end";
     say(go, { capture: "Capture", resume: "Go on with it", fit: "Fit it" }[next.step] ?? "");

@@ -45,7 +45,7 @@ const made = (record) => (record.date ? age((Date.now() - Date.parse(record.date
 export function recordsPanel() {
   return loaded("Calibrations", "api/calibrations", ({ records = [] }) => {
     const row = (record) => h("tr", { class: record.state }, h("th", { scope: "row" }, named(record.kind)), h("td", {}, STATES[record.state] ?? record.state), h("td", {}, made(record)));
-    return h("div", {}, h("table", { class: "records" }, h("thead", {}, h("tr", {}, ["Record", "State", "Made"].map((name) => h("th", { scope: "col" }, name)))), h("tbody", {}, records.map(row))), h("p", {}, h("a", { href: "#setup" }, "What each is worth, and how it is made")));
+    return h("div", {}, h("table", { class: "records" }, h("thead", {}, h("tr", {}, ["Record", "State", "Made"].map((name) => h("th", { scope: "col" }, name)))), h("tbody", {}, records.map(row))), h("p", {}, h("a", { href: "#calibrate" }, "What each is worth, and how it is made")));
   });
 }
 
@@ -61,7 +61,8 @@ export function calibrationsPanel() {
         h("h4", {}, named(record.kind), " ", h("span", { class: `badge ${mark}` }, STATES[record.state] ?? record.state), record.date ? h("span", { class: "fine" }, ` ${made(record)}`) : null),
         h("p", {}, capital(record.summary)),
         (record.concerns ?? []).map((concern) => h("p", { class: "warn" }, concern)),
-        h("details", {}, h("summary", {}, "How it is made"), target ? h("p", { class: "fine" }, `Before the camera: ${target}.`) : null, record.method ? h("p", { class: "fine" }, `The present one: ${record.method}.`) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, record.command), copyButton(() => record.command, record.command))),
+        record.guide ? h("p", {}, h("a", { class: "button", href: `#calibrate/${record.guide}` }, record.state === "missing" ? "Measure it" : "Measure it again")) : null,
+        h("details", {}, h("summary", {}, record.guide ? "At the terminal" : "How it is made"), target ? h("p", { class: "fine" }, `Before the camera: ${target}.`) : null, record.method ? h("p", { class: "fine" }, `The present one: ${record.method}.`) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, record.command), copyButton(() => record.command, record.command))),
       );
     };
     return h("div", {}, h("ul", { class: "calibrations" }, records.map(item)), library ? h("p", { class: "fine" }, `Records in ${library}.`) : null);

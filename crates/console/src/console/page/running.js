@@ -152,7 +152,7 @@ function handsPanel() {
   const what = h("p", { class: "big", role: "status" });
   const map = hemisphere("Where to hold the lamp");
   const answer = (done) => () => {
-    const number = state.capture?.asked?.number;
+    const number = state.job?.asked?.number;
     if (number !== undefined) attempt("api/capture/answer", { number, done });
   };
   const done = h("button", { type: "button", class: "primary", id: "hand-done", title: "Also by the space bar", onclick: answer(true) }, "Done");
@@ -166,8 +166,8 @@ function handsPanel() {
     done.click();
   });
   let placed = null;
-  function show(capture) {
-    const asked = capture?.asked ?? null;
+  function show(_, job) {
+    const asked = job?.asked ?? null;
     const focused = element.contains(document.activeElement);
     element.hidden = asked === null || !capturing();
     if (element.hidden && focused) by("capture-title").focus({ preventScroll: true });

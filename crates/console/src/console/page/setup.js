@@ -6,7 +6,6 @@ import { copyButton, gate, h, panel, redraw, say } from "./dom.js";
 import { drawing } from "./drawings.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
-import { calibrationsPanel } from "./records.js";
 import { watch } from "./stream.js";
 
 /** The parts of a bench in the order of their questions: id, heading, and which keys belong to it. */
@@ -23,7 +22,6 @@ const SECTIONS = [
 /** Builds the view; the returned function shows and hides it. */
 export function startSetup(view) {
   const benches = benchesPart();
-  const calibrations = calibrationsPanel();
   const questions = h("div", { class: "questions" });
   const write = h("button", { type: "submit", class: "primary", id: "write-rig" }, "Write the rig file");
   const again = h("button", { type: "button", class: "quiet", onclick: () => load(true) }, "Look for devices again");
@@ -37,7 +35,6 @@ export function startSetup(view) {
       "div",
       { class: "stack narrow" },
       benches.element,
-      calibrations.element,
       panel("A new bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name."), form),
       result,
     ),
@@ -136,7 +133,6 @@ export function startSetup(view) {
   return (on) => {
     if (on) load(false);
     if (on) benches.load();
-    if (on) calibrations.load();
     show();
   };
 }
@@ -202,7 +198,7 @@ function done(file, steps) {
     "Written",
     {},
     h("div", { class: "row" }, h("p", {}, h("code", {}, file)), h("button", { type: "button", class: "primary", onclick: () => take(file) }, "Use this bench")),
-    h("h4", {}, "What to calibrate next, in this order"),
+    h("h4", {}, "What to calibrate next, in this order; once the bench is in use ", h("a", { href: "#calibrate" }, "from this page"), ", or at the terminal"),
     h("ol", { class: "steps" }, steps.map(({ command, purpose }) => h("li", {}, purpose ? h("p", {}, capital(purpose)) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, command), copyButton(() => command, command))))),
   );
 }

@@ -4,6 +4,7 @@ import { by, h } from "./dom.js";
 
 const KEYS = [
   ["b", "Bench", () => go("#bench")],
+  ["k", "Calibrate", () => go("#calibrate")],
   ["c", "Capture", () => go("#capture")],
   ["q", "Queue", () => go("#queue")],
   ["s", "Sessions", () => go("#sessions")],

@@ -51,6 +51,14 @@ impl LiveFrame {
         lock(&self.encoded).clear();
     }
 
+    /// The newest frame, `None` where there is none.
+    pub fn newest(&self) -> Option<(Arc<RawFrame>, Counts)> {
+        let newest = lock(&self.newest);
+        newest
+            .as_ref()
+            .map(|newest| (newest.frame.clone(), newest.counts))
+    }
+
     /// The picture of the newest frame, `None` where there is none. Takes as long as the
     /// encoding, some 10 ms; requests of several pages wait for one another.
     ///

@@ -24,6 +24,7 @@ pub use self::bundle::{CameraOptions, calibrate};
 pub use self::figure::figure;
 pub use self::model::Terms;
 pub use self::values::{CameraPose, CameraValues, LensModel};
+pub use self::views::{Seen, View, find};
 use crate::config::geometry::GeometryConfig;
 use crate::frames::{self, Rigid, Sample};
 use crate::transport::{Camera, LensSpec, Projection};

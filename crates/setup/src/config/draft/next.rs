@@ -62,22 +62,29 @@ pub fn next(answers: &Answers, file: &Path) -> Vec<Step> {
         "lamp cold, on a white card: warm-up, drift, flicker",
     );
     step(
+        "rig capture --lights 1 --sample board --no-fit@",
         match is_telecentric {
-            true => "rig calibrate camera VIEW.exr… --squares N,M --square MM@",
-            false => "rig calibrate camera VIEWS… --squares N,M --square MM@",
-        },
-        match is_telecentric {
-            true => {
-                "magnification and distortion, from a checkerboard that faces it squarely, taken by rig capture --lights 1 --sample board --no-fit"
-            }
-            false => {
-                "focal length and distortion, from six or more views of a checkerboard, tilted, each taken by rig capture --lights 1 --sample board --no-fit"
-            }
+            true => "a checkerboard that faces the camera squarely",
+            false => "a checkerboard, tilted; six views or more, each by this command",
         },
     );
     step(
-        "rig calibrate focus LOW.exr MIDDLE.exr HIGH.exr --heights=MM,MM,MM@",
-        "sharpness over the sample's depth, from a slanted edge at three heights, taken likewise",
+        match is_telecentric {
+            true => "rig calibrate camera SESSION --squares N,M --square MM@",
+            false => "rig calibrate camera SESSIONS… --squares N,M --square MM@",
+        },
+        match is_telecentric {
+            true => "magnification and distortion, from that session",
+            false => "focal length and distortion, from those sessions",
+        },
+    );
+    step(
+        "rig capture --lights 1 --sample edge --no-fit@",
+        "a slanted edge, at three heights, each by this command",
+    );
+    step(
+        "rig calibrate focus LOW MIDDLE HIGH --heights=MM,MM,MM@",
+        "sharpness over the sample's depth, from those three sessions",
     );
     step(
         "rig calibrate glare --trap X,Y,WIDTH,HEIGHT@",
