@@ -56,6 +56,8 @@ pub struct Camera {
     pub driver: &'static str,
     /// The driver's key that says which camera.
     pub key: &'static str,
+    /// Whether its frames are for practice, not for measurement.
+    pub only_practice: bool,
     /// What stands there.
     pub address: String,
 }
@@ -204,6 +206,7 @@ impl Draft {
         let camera = Camera {
             driver: driver.name,
             key: driver.key,
+            only_practice: driver.only_practice,
             address,
         };
         let housing_mm = match answers.is_yes("housing") {

@@ -3,6 +3,7 @@
 use std::fmt::Display;
 
 use super::answered::{Axes, Camera, Draft, Lab, Lamp, Lens, Sample, Stage};
+use super::found;
 
 impl Draft {
     /// The rig file, with a comment for every key.
@@ -35,9 +36,11 @@ impl Draft {
         let Camera {
             driver,
             key,
+            only_practice,
             address,
         } = &self.camera;
-        out.key("driver", quoted(driver), "What speaks to the camera.");
+        let marked = found::marked("What speaks to the camera", *only_practice);
+        out.key("driver", quoted(driver), &format!("{marked}."));
         out.key(key, quoted(address), "Which camera.");
         match &self.serial {
             Some(serial) => out.key("serial", quoted(serial), "Serial number that it must have: another camera has another calibration."),
