@@ -54,9 +54,13 @@ docs:
 	@mkdir -p target
 	@$(MDBOOK) build docs 2>&1 | tee target/book.log; ! grep -E 'WARN|ERROR' target/book.log
 
-deb: build docs
-	@$(MAKE) --no-print-directory deps EXTRA_DEPS="binutils dpkg-dev"
-	packaging/deb.sh target/release/rig
+# The cameras that operators have: Debian stable has libaravis in the version that `genicam` needs.
+DEB_FEATURES := genicam,webcam
+
+deb: docs
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="binutils dpkg-dev $(GENICAM_DEPS)"
+	$(CARGO) build --locked --release --features $(DEB_FEATURES)
+	packaging/deb.sh target/release/rig $(DEB_FEATURES)
 
 test-deb: deb
 	@$(MAKE) --no-print-directory deps EXTRA_DEPS="mmdebstrap"
@@ -74,8 +78,8 @@ RIG ?= target/release/rig
 PYTHON_VENV := target/python-venv
 PYTHON_FRESH := target/python-fresh
 
-# Features of the wheel, none as it ships. With those of the workspace's tests, such as
-# `rig/default,rig/genicam`, nothing of them is compiled again; such a wheel is for this machine.
+# Features of the wheel, none as it ships. With those of the workspace's tests (.ci/run) nothing
+# of them is compiled again; such a wheel is for this machine.
 PYTHON_FEATURES ?=
 WHEEL_OPTIONS := $(if $(PYTHON_FEATURES),--features $(PYTHON_FEATURES) --compatibility linux --auditwheel skip)
 

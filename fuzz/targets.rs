@@ -158,6 +158,20 @@ pub const TARGETS: &[Target] = &[
         |bytes| drop(rig::session::Journal::parse(bytes)),
         256,
     ),
+    target("queue", queue, 4096),
+    target(
+        "camera_program",
+        |bytes| {
+            use rig::device::{command_camera::answer::parse, gphoto2::output};
+            let text = String::from_utf8_lossy(bytes);
+            drop((
+                parse(&text),
+                output::parse_detected(&text),
+                output::parse_settings(&text),
+            ));
+        },
+        256,
+    ),
     target(
         "session_archive",
         |bytes| drop(rig::session::archive::check_bytes(bytes)),
@@ -335,6 +349,21 @@ fn fit_folder(bytes: &[u8]) {
             Ok(file.as_bytes().to_vec())
         },
     ));
+}
+
+/// A file of samples and the journal of what was done of it, with a line of two hyphens between.
+fn queue(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let (samples, journal) = text.split_once("\n--\n").unwrap_or((&text, ""));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("day.toml");
+    let written = std::fs::write(&file, samples);
+    let written =
+        written.and_then(|()| std::fs::write(folder.path().join("day.queue.jsonl"), journal));
+    written.expect("a temporary file");
+    if let Ok(queue) = rig::queue::Queue::open(&file, folder.path()) {
+        drop(queue.step());
+    }
 }
 
 fn text(bytes: &[u8], parse: impl FnOnce(&str)) {

@@ -1,9 +1,9 @@
 #!/bin/sh
-# Builds target/debian/rig-reflectometry_*.deb: deb.sh [BINARY]
-# BINARY: the program to pack, target/release/rig if not given; it must be built already.
+# Builds target/debian/rig-reflectometry_*.deb: deb.sh BINARY FEATURES
+# BINARY: the program to pack, built already, and with which FEATURES.
 set -eu
 cd "$(dirname "$0")/.."
-binary=${1:-target/release/rig}
+binary=$1 features=$2
 package=rig-reflectometry
 stage=target/package
 command -v cargo-deb >/dev/null ||
@@ -28,7 +28,7 @@ done
   paragraph Expat <LICENSE-MIT
   sed -n '/^Permission is hereby/,$p' data/fonts/NOTICE.md | paragraph Bitstream-Vera
 } >"$stage/copyright"
-cargo tree --locked --package rig -e normal --prefix none --no-dedupe >"$stage/crates"
+cargo tree --locked --package rig --features "$features" -e normal --prefix none --no-dedupe >"$stage/crates"
 cargo metadata --locked --format-version 1 |
   python3 packaging/third_party.py "$stage/crates" | gzip -9n >"$stage/THIRD-PARTY.txt.gz"
 

@@ -54,6 +54,9 @@ cat <<EOF
 
 Nothing has been published. To publish:
   git tag --sign v$version --file $out/NOTES.md && git push origin v$version
-  python3 -m twine upload $out/*.whl
+  make python-wheel on macOS and on Windows (Rust, Python and make, nothing else), and copy
+  target/wheels/*.whl of each to $out;
+  python3 -m twine upload $out/*.whl, with the token of a project on pypi.org (first with
+  --repository testpypi);
   and put the other files of $out where users find them, with SHA256SUMS.
 EOF

@@ -33,6 +33,11 @@ completed=$(as_user "bash -ic '. /usr/share/bash-completion/bash_completion; _co
 echo "rig ca<Tab>: $completed"
 case $completed in *capture*) ;; *) fail "no completion for rig ca" ;; esac
 
+step "cameras through nokhwa and Aravis are offered"
+for driver in webcam genicam; do
+  as_user "rig init --questions --json" | grep -q "\"value\": *\"$driver" || fail "no driver $driver"
+done
+
 step "udev reads the rules"
 inside udevadm test --action=add /sys/class/mem/null >"$root/tmp/udev.log" 2>&1 || :
 grep 'Reading rules file: /usr/lib/udev/rules.d/70-rig.rules' "$root/tmp/udev.log" || fail "udev does not read 70-rig.rules"

@@ -12,6 +12,7 @@ use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
+#[cfg(unix)]
 use rustix::fs::{CWD, RenameFlags, StatVfs, renameat_with, statvfs};
 use rustix::io::Errno;
 
@@ -53,6 +54,7 @@ impl fmt::Display for Lack {
 
 /// Errors by which file systems refuse an operation that they lack: SMB and vboxsf EINVAL, FUSE
 /// ENOSYS or ENOTSUP, some EBADF.
+#[cfg(unix)]
 const NOT_OFFERED: [Errno; 5] = [
     Errno::INVAL,
     Errno::NOTSUP,
@@ -61,10 +63,13 @@ const NOT_OFFERED: [Errno; 5] = [
     Errno::BADF,
 ];
 /// In addition where a folder is to be opened or synchronised.
+#[cfg(unix)]
 const NO_FOLDER_SYNC: [Errno; 3] = [Errno::ACCESS, Errno::PERM, Errno::ISDIR];
 /// In addition where a file is to be locked: NFS without its lock service.
+#[cfg(unix)]
 const NO_LOCKS: [Errno; 1] = [Errno::NOLCK];
 /// So answers one that cannot rename over an existing file.
+#[cfg(unix)]
 const NOT_OVER_EXISTING: [Errno; 6] = [
     Errno::EXIST,
     Errno::PERM,
@@ -73,6 +78,16 @@ const NOT_OVER_EXISTING: [Errno; 6] = [
     Errno::NOTSUP,
     Errno::INVAL,
 ];
+
+/// The same on Windows: no such function, not supported; access denied; file or name exists.
+#[cfg(windows)]
+const NOT_OFFERED: [Errno; 2] = [Errno::from_raw_os_error(1), Errno::from_raw_os_error(50)];
+#[cfg(windows)]
+const NO_FOLDER_SYNC: [Errno; 1] = [Errno::from_raw_os_error(5)];
+#[cfg(windows)]
+const NO_LOCKS: [Errno; 0] = [];
+#[cfg(windows)]
+const NOT_OVER_EXISTING: [Errno; 2] = [Errno::from_raw_os_error(80), Errno::from_raw_os_error(183)];
 
 fn is_one_of(error: &io::Error, errnos: &[Errno]) -> bool {
     Errno::from_io_error(error).is_some_and(|errno| errnos.contains(&errno))
@@ -105,8 +120,21 @@ fn sync(file: &File, more: &[Errno]) -> io::Result<Option<Lack>> {
     }
 }
 
+/// Opens a folder, to be locked or synchronised.
+pub(crate) fn open_folder(folder: &Path) -> io::Result<File> {
+    #[cfg(unix)]
+    return File::open(folder);
+    #[cfg(windows)]
+    {
+        use std::os::windows::fs::OpenOptionsExt;
+        // FILE_FLAG_BACKUP_SEMANTICS, without which no folder is opened.
+        let mut options = OpenOptions::new();
+        options.read(true).custom_flags(0x0200_0000).open(folder)
+    }
+}
+
 fn folder_sync(folder: &Path) -> io::Result<Option<Lack>> {
-    match File::open(folder) {
+    match open_folder(folder) {
         Ok(open) => sync(&open, &NO_FOLDER_SYNC),
         Err(error) if is_one_of(&error, &NO_FOLDER_SYNC) => Ok(Some(Lack::Sync)),
         Err(error) => Err(error),
@@ -211,6 +239,7 @@ pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
 
 /// Bytes that this process may still write where this folder is; the largest number where
 /// the file system does not say how large it is.
+#[cfg(unix)]
 pub fn free_bytes(folder: &Path) -> io::Result<u64> {
     let StatVfs {
         f_blocks,
@@ -226,11 +255,25 @@ pub fn free_bytes(folder: &Path) -> io::Result<u64> {
 
 /// Files that may still be made where this folder is; none where the file system does not say,
 /// or makes room for them as it does for bytes.
+#[cfg(unix)]
 pub fn free_files(folder: &Path) -> io::Result<Option<u64>> {
     let StatVfs {
         f_files, f_favail, ..
     } = statvfs(folder)?;
     Ok((f_files > 0).then_some(f_favail))
+}
+
+/// Nobody is asked there.
+#[cfg(windows)]
+#[allow(missing_docs)]
+pub fn free_bytes(_: &Path) -> io::Result<u64> {
+    Ok(u64::MAX)
+}
+
+#[cfg(windows)]
+#[allow(missing_docs)]
+pub fn free_files(_: &Path) -> io::Result<Option<u64>> {
+    Ok(None)
 }
 
 /// Whether no file can be made where this is or shall be, although there may be room for bytes.
@@ -329,7 +372,13 @@ mod call {
 
     pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
         injected(Call::RenameNew)?;
-        Ok(renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)?)
+        #[cfg(unix)]
+        return Ok(renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)?);
+        #[cfg(windows)]
+        {
+            let _ = (from, to);
+            Err(NOT_OFFERED[0].into())
+        }
     }
 
     /// For tests of other file systems than the one they run on.

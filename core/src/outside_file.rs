@@ -5,11 +5,11 @@
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
+#[cfg(unix)]
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+#[cfg(windows)]
+use std::os::windows::fs::OpenOptionsExt;
 use std::path::Path;
-
-use rustix::fs::OFlags;
-use rustix::io::Errno;
 
 use crate::outside_text;
 
@@ -27,11 +27,7 @@ pub fn ends_in(path: &Path, ending: &str) -> bool {
 pub fn open_regular(path: &Path) -> io::Result<File> {
     // Before the opening, which alone makes some devices act.
     check(&std::fs::metadata(path)?)?;
-    let never_wait = OFlags::NONBLOCK | OFlags::NOCTTY;
-    let file = OpenOptions::new()
-        .read(true)
-        .custom_flags(never_wait.bits().cast_signed())
-        .open(path)?;
+    let file = never_waiting(OpenOptions::new().read(true), true).open(path)?;
     // Again, because another may stand there by now.
     check(&file.metadata()?)?;
     Ok(file)
@@ -48,15 +44,30 @@ pub fn append_regular(path: &Path) -> io::Result<File> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }
-    let flags = OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::NOFOLLOW;
-    let file = OpenOptions::new()
-        .create(true)
-        .read(true)
-        .append(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)?;
+    let mut options = OpenOptions::new();
+    options.create(true).read(true).append(true);
+    let file = never_waiting(&mut options, false).open(path)?;
     check(&file.metadata()?)?;
     Ok(file)
+}
+
+/// These options, by which the opening of what stands there never waits and, unless
+/// `follows_links`, what a link leads to is not opened.
+pub fn never_waiting(options: &mut OpenOptions, follows_links: bool) -> &mut OpenOptions {
+    #[cfg(unix)]
+    let flags = {
+        use rustix::fs::OFlags;
+        let never_wait = OFlags::NONBLOCK | OFlags::NOCTTY;
+        let links = match follows_links {
+            true => OFlags::empty(),
+            false => OFlags::NOFOLLOW,
+        };
+        (never_wait | links).bits().cast_signed()
+    };
+    // Opens the link itself, which is no regular file.
+    #[cfg(windows)]
+    let flags = if follows_links { 0 } else { 0x0020_0000 };
+    options.custom_flags(flags)
 }
 
 /// The bytes of a regular file of at most `max_bytes`, whatever length the
@@ -105,7 +116,10 @@ fn check(found: &Metadata) -> io::Result<()> {
         return Ok(());
     }
     if found.is_dir() {
-        return Err(Errno::ISDIR.into());
+        #[cfg(unix)]
+        return Err(rustix::io::Errno::ISDIR.into());
+        #[cfg(windows)]
+        return Err(io::ErrorKind::IsADirectory.into());
     }
     let text = format!("it is {}, not a regular file", kind(found.file_type()));
     Err(io::Error::new(io::ErrorKind::InvalidInput, text))
@@ -117,8 +131,11 @@ pub fn kind(found: FileType) -> &'static str {
         _ if found.is_file() => "a regular file",
         _ if found.is_dir() => "a folder",
         _ if found.is_symlink() => "a link",
+        #[cfg(unix)]
         _ if found.is_fifo() => "a named pipe",
+        #[cfg(unix)]
         _ if found.is_socket() => "a socket",
+        #[cfg(unix)]
         _ if found.is_char_device() || found.is_block_device() => "a device",
         _ => "of an unknown kind",
     }

@@ -7,15 +7,17 @@
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Seek, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+#[cfg(unix)]
+use std::os::unix::fs::MetadataExt;
+#[cfg(windows)]
+use std::os::windows::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use rustix::fs::OFlags;
-
 use crate::file_system::{self, PART};
+use crate::outside_file::never_waiting;
 
 /// A name and what is added to it have at most 255 bytes; longer names lose their end.
 const LONGEST_NAME: usize = 200;
@@ -132,7 +134,7 @@ impl Part {
     pub fn folder(target: &Path) -> io::Result<Self> {
         Self::new(target, |path| {
             std::fs::create_dir(path)?;
-            File::open(path)
+            file_system::open_folder(path)
         })
     }
 
@@ -247,13 +249,9 @@ fn clear(path: &Path) -> bool {
     if !found.is_file() && !found.is_dir() {
         return false;
     }
-    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY;
-    let open = OpenOptions::new()
-        .read(true)
-        .write(found.is_file())
-        .custom_flags(flags.bits().cast_signed())
-        .open(path);
-    let Ok(open) = open else {
+    let mut options = OpenOptions::new();
+    options.read(true).write(found.is_file());
+    let Ok(open) = never_waiting(&mut options, false).open(path) else {
         return false;
     };
     open.try_lock().is_ok() && is_at(&open, path) && remove(path).is_ok()
@@ -261,7 +259,11 @@ fn clear(path: &Path) -> bool {
 
 /// Whether a path still leads to what is open.
 fn is_at(open: &File, path: &Path) -> bool {
+    #[cfg(unix)]
     let id = |of: io::Result<std::fs::Metadata>| of.ok().map(|of| (of.dev(), of.ino()));
+    // Stable Rust has no number of a file there; nobody removes one that is open.
+    #[cfg(windows)]
+    let id = |of: io::Result<std::fs::Metadata>| of.ok().map(|of| of.creation_time());
     let opened = id(open.metadata());
     opened.is_some() && opened == id(path.symlink_metadata())
 }

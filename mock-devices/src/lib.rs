@@ -1,22 +1,27 @@
 //! A simulated bench on which `rig`'s production drivers are tested.
 //!
 //! The crate knows nothing of `rig`: simulated firmware answers bytes on a
-//! pseudo-terminal, a sensor turns radiance into raw counts, a bench holds the
+//! pseudo-terminal of Linux, a sensor turns radiance into raw counts, a bench holds the
 //! true stage position and lamp state, and the radiance of the scene comes from
 //! whoever implements [`RadianceSource`].
 
 pub mod bench;
 pub mod camera;
 pub mod clock;
+#[cfg(target_os = "linux")]
 pub mod dmx;
 pub mod failing;
 pub mod glare;
+#[cfg(target_os = "linux")]
 pub mod grbl;
 pub mod motion;
+#[cfg(target_os = "linux")]
 pub mod proxy;
 pub mod sensor;
+#[cfg(target_os = "linux")]
 pub mod zaber;
 
+#[cfg(target_os = "linux")]
 mod pty;
 pub mod random;
 

@@ -8,14 +8,14 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rayon::prelude::*;
-use rig::brdf::discrepancy::{Discrepancy, Material, VALUES};
-use rig::brdf::environment::{self, EnvironmentMap};
-use rig::brdf::sphere::sphere_image;
-use rig::brdf::{Atom, Brdf as _, Dictionary, HalfDifference, Mixture, check, fitted, nbrdf};
-use rig::config::reflectance::BrdfSpec;
-use rig::export::{self, TableFormat};
-use rig::material::{self, Angles};
-use rig::session::fit_record;
+use rig_bench::session::fit_record;
+use rig_core::brdf::discrepancy::{Discrepancy, Material, VALUES};
+use rig_core::brdf::environment::{self, EnvironmentMap};
+use rig_core::brdf::sphere::sphere_image;
+use rig_core::brdf::{Atom, Brdf as _, Dictionary, HalfDifference, Mixture, check, fitted, nbrdf};
+use rig_desk::export::{self, TableFormat};
+use rig_desk::material::{self, Angles};
+use rig_setup::config::reflectance::BrdfSpec;
 
 use crate::arrays::{self, Columns, Pairs};
 use crate::errors::{Fault, check_room, input};
@@ -35,7 +35,7 @@ const BYTES_PER_ANGLES: usize =
 /// Made by Brdf.load or Brdf.mixture, and by fits. Immutable; may be used from several threads.
 #[pyclass(frozen, module = "rig_reflectometry")]
 pub struct Brdf {
-    brdf: Arc<dyn rig::brdf::Brdf>,
+    brdf: Arc<dyn rig_core::brdf::Brdf>,
     name: String,
     origin: Origin,
 }
@@ -80,7 +80,7 @@ impl Brdf {
 
     /// A mixture with the discrepancy from it.
     pub fn of_parts(parts: Material, name: String) -> Self {
-        let brdf: Arc<dyn rig::brdf::Brdf> = match parts.as_mixture() {
+        let brdf: Arc<dyn rig_core::brdf::Brdf> = match parts.as_mixture() {
             Some(mixture) => Arc::new(mixture.clone()),
             None => Arc::new(parts.clone()),
         };
@@ -88,7 +88,7 @@ impl Brdf {
         Self { brdf, name, origin }
     }
 
-    pub fn inner(&self) -> &Arc<dyn rig::brdf::Brdf> {
+    pub fn inner(&self) -> &Arc<dyn rig_core::brdf::Brdf> {
         &self.brdf
     }
 }
@@ -311,7 +311,7 @@ impl Brdf {
     }
 
     /// How far it is from a known truth; see Errors. Published figures use size = 128.
-    #[pyo3(signature = (truth, *, size = (rig::brdf::score::SPHERE_SIZE as u64).into()))]
+    #[pyo3(signature = (truth, *, size = (rig_core::brdf::score::SPHERE_SIZE as u64).into()))]
     fn errors(&self, py: Python<'_>, truth: &Self, size: Integer) -> PyResult<Py<PyAny>> {
         let size = score::sphere_size(size)?;
         let errors = work::detached(py, || {
@@ -321,7 +321,7 @@ impl Brdf {
     }
 
     /// What a dictionary can reach of it; see Projection.
-    #[pyo3(signature = (dictionary = Dictionary::DEFAULT.to_owned(), *, size = (rig::brdf::score::SPHERE_SIZE as u64).into()))]
+    #[pyo3(signature = (dictionary = Dictionary::DEFAULT.to_owned(), *, size = (rig_core::brdf::score::SPHERE_SIZE as u64).into()))]
     fn project(&self, py: Python<'_>, dictionary: String, size: Integer) -> PyResult<Py<PyAny>> {
         let size = score::sphere_size(size)?;
         let projected = work::detached(py, || material::project(&*self.brdf, &dictionary, size))?;

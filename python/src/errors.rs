@@ -6,20 +6,20 @@ use std::io;
 
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
-use rig::brdf::BrdfError;
-use rig::calibration::RecordError;
-use rig::cells::AverageError;
-use rig::config::{BuildError, ConfigError};
-use rig::export::ExportError;
-use rig::material::MaterialError;
-use rig::radiance_image::exr::ExrError;
-use rig::radiometry::bracket_files::{BracketError, Problem};
-use rig::radiometry::bracket_merge::BracketMergeError;
-use rig::session::SessionError;
-use rig::session::fit_record::FitRecordError;
-use rig::transport::polarised::NotPolarisable;
-use rig::workflow::{StatedResultError, WorkflowError};
+use rig_bench::session::SessionError;
+use rig_bench::session::fit_record::FitRecordError;
+use rig_bench::workflow::{StatedResultError, WorkflowError};
+use rig_core::brdf::BrdfError;
+use rig_core::cells::AverageError;
 use rig_core::inverse::memory::free_bytes;
+use rig_core::radiance_image::exr::ExrError;
+use rig_core::transport::polarised::NotPolarisable;
+use rig_desk::export::ExportError;
+use rig_desk::material::MaterialError;
+use rig_device::radiometry::bracket_files::{BracketError, Problem};
+use rig_device::radiometry::bracket_merge::BracketMergeError;
+use rig_setup::calibration::RecordError;
+use rig_setup::config::{BuildError, ConfigError};
 
 /// An exception class of `rig_reflectometry.errors`, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -181,7 +181,7 @@ impl From<MaterialError> for Fault {
         match error {
             MaterialError::Fit(error) => error.into(),
             MaterialError::UnknownMaterial { .. } => {
-                let known = rig::brdf::nbrdf::NAMES.join(", ");
+                let known = rig_core::brdf::nbrdf::NAMES.join(", ");
                 input(format!("{error}; known are {known}"))
             }
             error => Self::of(&error, Kind::InputError),

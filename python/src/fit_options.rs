@@ -8,9 +8,9 @@ use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::brdf::nbrdf::NAMES;
-use rig::config::fit::{FitRequest, Source};
-use rig::config::uncertainty::Deviation;
+use rig_core::brdf::nbrdf::NAMES;
+use rig_setup::config::fit::{FitRequest, Source};
+use rig_setup::config::uncertainty::Deviation;
 
 use crate::brdf::text_of;
 use crate::errors::input;

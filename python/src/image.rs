@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use rig::radiance_image::RadianceImage;
-use rig::radiance_image::exr::{self, ExrRows, RadianceFile};
-use rig::workflow::NamedImage;
+use rig_bench::workflow::NamedImage;
+use rig_core::radiance_image::RadianceImage;
+use rig_core::radiance_image::exr::{self, ExrRows, RadianceFile};
 
 use crate::arrays;
 use crate::errors::{Fault, check_room, input};

@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use rig::calibration::record::ResponseValues;
-use rig::calibration::record_in;
-use rig::radiometry::bracket_files::{self, BracketFile, read_frame};
-use rig::radiometry::bracket_merge::{self, CountModel, MergeRequest, check_linear, check_mosaic};
-use rig::radiometry::frame_file::FrameFile;
-use rig::radiometry::mosaic::Mosaic;
-use rig::radiometry::response::Response;
-use rig::radiometry::sensor::SensorNoise;
+use rig_device::radiometry::bracket_files::{self, BracketFile, read_frame};
+use rig_device::radiometry::bracket_merge::{
+    self, CountModel, MergeRequest, check_linear, check_mosaic,
+};
+use rig_device::radiometry::frame_file::FrameFile;
+use rig_device::radiometry::mosaic::Mosaic;
+use rig_device::radiometry::response::Response;
+use rig_device::radiometry::sensor::SensorNoise;
+use rig_setup::calibration::record::ResponseValues;
+use rig_setup::calibration::record_in;
 
 use crate::errors::{Fault, input};
 use crate::image::{self, image_record};

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use rig::config::view::SurfaceSpec;
-use rig::config::{self, scene::SceneFile};
-use rig::geometry::Mesh;
-use rig::transport::{
+use rig_core::geometry::Mesh;
+use rig_core::transport::{
     RenderOptions, Shading, Steering, render_polarised, render_with_progress, suited_proposal,
 };
+use rig_setup::config::view::SurfaceSpec;
+use rig_setup::config::{self, scene::SceneFile};
 
 use crate::arrays;
 use crate::brdf::Brdf;

@@ -2,8 +2,8 @@
 
 use glam::{DVec3, Vec3};
 use pyo3::prelude::*;
-use rig::geometry::Mesh;
-use rig::transport::{Camera, Light, Projection};
+use rig_core::geometry::Mesh;
+use rig_core::transport::{Camera, Light, Projection};
 
 use crate::arrays;
 use crate::errors::input;

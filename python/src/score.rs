@@ -2,8 +2,8 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::brdf::score::PerChannel;
-use rig::material::Errors;
+use rig_core::brdf::score::PerChannel;
+use rig_desk::material::Errors;
 
 use crate::errors::Fault;
 use crate::numbers::Integer;

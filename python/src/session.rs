@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::device::FrameKind;
-use rig::radiance_image::exr::{self, ExrRows};
-use rig::session::fit_record;
-use rig::session::{SessionState, layout};
-use rig::workflow::fit_session;
+use rig_bench::session::fit_record;
+use rig_bench::session::{SessionState, layout};
+use rig_bench::workflow::fit_session;
+use rig_core::radiance_image::exr::{self, ExrRows};
+use rig_device::device::FrameKind;
 
 use crate::arrays;
 use crate::errors::{Fault, input};
@@ -27,8 +27,8 @@ pub struct Session {
 }
 
 impl Session {
-    fn open(&self) -> Result<rig::session::Session, Fault> {
-        Ok(rig::session::Session::open(&self.root)?)
+    fn open(&self) -> Result<rig_bench::session::Session, Fault> {
+        Ok(rig_bench::session::Session::open(&self.root)?)
     }
 }
 

@@ -18,8 +18,8 @@ use std::time::Duration;
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use rig::progress::Progress;
-use rig::workflow::{Notice, Observer};
+use rig_bench::workflow::{Notice, Observer};
+use rig_core::progress::Progress;
 
 /// So often signals are looked for while the work is silent.
 const LOOK: Duration = Duration::from_millis(50);

@@ -42,13 +42,14 @@ pub fn convert(
     spec: &str,
     format: ModelFormat,
     out: &Path,
+    closest: bool,
     context: &Context,
 ) -> Result<(), CliError> {
     let exported = if Path::new(spec).is_dir() {
         // A fit: the file says where it comes from.
         let record = fit_record::find(Path::new(spec))?;
         waiting(out, context, || {
-            export::export(&record, &format.format(), out)
+            export::export_as(&record, None, closest, &format.format(), out)
         })
     } else {
         let brdf = load(spec)?;
@@ -58,6 +59,7 @@ pub fn convert(
             description: &description,
             simulated: false,
             name: None,
+            closest,
             out,
         };
         waiting(out, context, || subject.export(format))

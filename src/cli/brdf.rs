@@ -119,6 +119,9 @@ enum BrdfCommand {
         /// The file; its ending chooses the format
         #[arg(long, value_name = "FILE.binary|.bsdf|.mtlx|.py|.glb")]
         out: PathBuf,
+        /// Of .mtlx, .py and .glb: also tints and layers that bring the model hardly nearer
+        #[arg(long)]
+        closest: bool,
     },
 }
 
@@ -151,8 +154,8 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
         } => project(brdf, dictionary, *size, out.as_deref(), *json),
         BrdfCommand::Compare(args) => compare::run(args),
         BrdfCommand::Plot(args) => plot::run(args),
-        BrdfCommand::Convert { brdf, out } => match ModelFormat::of(out) {
-            Some(format) => as_model::convert(brdf, format, out, context),
+        BrdfCommand::Convert { brdf, out, closest } => match ModelFormat::of(out) {
+            Some(format) => as_model::convert(brdf, format, out, *closest, context),
             None => convert(brdf, out),
         },
     }

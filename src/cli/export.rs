@@ -30,6 +30,9 @@ pub struct ExportArgs {
     /// of a fit outside a session the file's
     #[arg(long)]
     name: Option<String>,
+    /// Of these three: also tints and layers that bring the model hardly nearer
+    #[arg(long)]
+    closest: bool,
 }
 
 /// The names of the formats, with what they write.
@@ -58,7 +61,8 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
         warn_of(&record, context);
         let name = args.name.as_ref().or(sample.as_ref());
         as_model::waiting(&path, context, || {
-            export::export_as(&record, name.map(String::as_str), &format, &path)
+            let name = name.map(String::as_str);
+            export::export_as(&record, name, args.closest, &format, &path)
         })
     } else {
         path = to(format.name);

@@ -35,6 +35,7 @@ before a capture, `rig capture --lights best:N` | a session that was never fitte
 correct camera.mosaic or camera.format | a camera with other colour filters
 build it with the feature `serial` | a program built without it
 build it with the feature `v4l` | a program built without it
+build it with `cargo build --locked --release --features | a program built without it
 # What a simulated bench meets in `tests/captures/run.rs` and `tests/captures/camera_faults.rs`, by
 # the library: minutes of a capture each.
 let the lamp warm up | a lamp that drifts

@@ -98,6 +98,18 @@ fn each(parameters: &[usize]) -> Free {
 /// # Errors
 /// A BRDF that is black or has undefined values.
 pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
+    sought(brdf, model, [LEAST_GAIN, LEAST_GAIN_OF_ERROR])
+}
+
+/// [`fit`] with every layer and tint that brings the model nearer, however little.
+///
+/// # Errors
+/// As there.
+pub fn closest(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
+    sought(brdf, model, [0.0; 2])
+}
+
+fn sought(brdf: &dyn Brdf, model: Model, least_gain: [f64; 2]) -> Result<Fitted, FitError> {
     let target = Target::of(brdf);
     if !target.is_finite() {
         return Err(FitError::NotFinite);
@@ -111,6 +123,7 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
         model,
         brdf,
         maps: &maps,
+        least_gain,
     };
     let grounds = search.bases();
     let mut core = grounds[0];
@@ -185,23 +198,24 @@ struct Found {
     error: f64,
 }
 
-impl Found {
-    /// Whether more parameters have lowered both measures by enough.
-    fn is_nearer(&self, fewer: &Self) -> bool {
-        self.squares < (1.0 - LEAST_GAIN) * fewer.squares
-            && self.error < fewer.error - LEAST_GAIN_OF_ERROR
-    }
-}
-
 /// Fits of one model to one material.
 struct Search<'a> {
     target: &'a Target,
     model: Model,
     brdf: &'a dyn Brdf,
     maps: &'a [EnvironmentMap],
+    /// By how much a layer or a tint more must lower the sum of squares, as a part, and the
+    /// environment error.
+    least_gain: [f64; 2],
 }
 
 impl Search<'_> {
+    /// Whether more parameters have lowered both measures by enough.
+    fn is_nearer(&self, found: &Found, fewer: &Found) -> bool {
+        let [of_squares, of_error] = self.least_gain;
+        found.squares < (1.0 - of_squares) * fewer.squares && found.error < fewer.error - of_error
+    }
+
     /// What of the base is free: all that programs show without extensions.
     fn base(&self) -> Free {
         let mut free = each(&BASE);
@@ -321,7 +335,7 @@ impl Search<'_> {
                 group[0] != IOR && !(is_specular && start.specular_color == [1.0; 3])
             });
             let simple = self.each_start_fitted(&[start], &free)[0];
-            if !found.is_nearer(&simple) {
+            if !self.is_nearer(&found, &simple) {
                 return simple;
             }
         }
@@ -386,7 +400,7 @@ impl Search<'_> {
     /// A minimum from these starts that is nearer than the best so far, or that.
     fn nearer(&self, best: Found, starts: &[Parameters], free: &Free) -> Found {
         let found = self.each_start_fitted(starts, free).into_iter();
-        let mut nearer = found.filter(|found| found.is_nearer(&best));
+        let mut nearer = found.filter(|found| self.is_nearer(found, &best));
         nearer.next().unwrap_or(best)
     }
 }

@@ -42,7 +42,7 @@ use glam::Vec3;
 
 pub use diffuse::RoughDiffuse;
 pub use directions::Directions;
-pub use fit::{FitError, Fitted, fit};
+pub use fit::{FitError, Fitted, closest, fit};
 pub use lobe::{Curve, Lobe};
 pub use loss::{AlbedoPair, Loss, WorstAngle};
 pub use parameters::{COAT_IOR, COUNT, LEAST_ROUGHNESS, LIMITS, Parameters, USUAL_IOR};

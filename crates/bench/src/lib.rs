@@ -13,14 +13,21 @@ use rig_device::{device, interrupt, radiometry};
 use rig_setup::plot;
 use rig_setup::{calibration, checksum, config, simulation};
 
+#[cfg(target_os = "linux")]
 pub mod beneath;
+#[cfg(target_os = "linux")]
 pub mod calibrating;
+#[cfg(target_os = "linux")]
 pub mod capture;
+#[cfg(target_os = "linux")]
 pub mod catalogue;
+#[cfg(target_os = "linux")]
 pub mod doctor;
 pub mod fault;
+#[cfg(target_os = "linux")]
 pub mod queue;
 pub mod rendering;
 pub mod session;
 pub mod workflow;
+#[cfg(target_os = "linux")]
 pub mod write_queue;

@@ -3,9 +3,11 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
+#[cfg(target_os = "linux")]
+use rig_bench::catalogue;
 #[cfg(feature = "reports")]
 use rig_bench::queue;
-use rig_bench::{catalogue, fault, session, workflow};
+use rig_bench::{fault, session, workflow};
 use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
 #[cfg(feature = "reports")]
 use rig_core::{inverse, radiance_image, transport, units};
@@ -24,4 +26,5 @@ pub mod export;
 pub mod material;
 #[cfg(feature = "reports")]
 pub mod report;
+#[cfg(target_os = "linux")]
 pub mod result_table;

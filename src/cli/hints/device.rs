@@ -63,6 +63,9 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "plug it into a port of another USB controller, without a hub, and end the streams of other cameras; one that asks for more than it needs is cured by `sudo rmmod uvcvideo && sudo modprobe uvcvideo quirks=128`"
         }
         BadFrame { fault, .. } => for_frame(fault),
+        WithoutDriver => {
+            "build it with `cargo build --locked --release --features genicam,webcam`, or take the Debian package"
+        }
         // Its answers to commands.
         Refused { .. } => {
             "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` show that"

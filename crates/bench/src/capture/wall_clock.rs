@@ -32,11 +32,7 @@ impl WallClock {
 
 fn now() -> Moment {
     // Goes on while the computer is suspended.
-    #[cfg(target_os = "linux")]
-    let clock = rustix::time::ClockId::Boottime;
-    #[cfg(not(target_os = "linux"))]
-    let clock = rustix::time::ClockId::Monotonic;
-    let since_start = rustix::time::clock_gettime(clock);
+    let since_start = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     let seconds = u64::try_from(since_start.tv_sec).unwrap_or_default();
     let nanoseconds = u32::try_from(since_start.tv_nsec).unwrap_or_default();
     (Duration::new(seconds, nanoseconds), Timestamp::now())

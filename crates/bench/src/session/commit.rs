@@ -10,8 +10,6 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{Access, access};
-
 use super::SessionError;
 use crate::file_system;
 
@@ -201,7 +199,13 @@ fn free<T>(path: &Path, ask: impl Fn(&Path) -> io::Result<T>) -> Result<T, Sessi
 pub fn check_creatable(path: &Path) -> Result<(), SessionError> {
     let existing = existing(path)?;
     let checked = match existing.is_dir() {
-        true => access(&existing, Access::WRITE_OK | Access::EXEC_OK).map_err(io::Error::from),
+        #[cfg(unix)]
+        true => {
+            use rustix::fs::{Access, access};
+            access(&existing, Access::WRITE_OK | Access::EXEC_OK).map_err(io::Error::from)
+        }
+        #[cfg(windows)]
+        true => Ok(()),
         false => Err(io::ErrorKind::NotADirectory.into()),
     };
     checked.map_err(|e| SessionError::io("make a folder in", &existing, e))

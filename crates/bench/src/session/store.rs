@@ -1,11 +1,8 @@
 //! A session opened for reading, and one opened for adding to.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-use rustix::fs::OFlags;
 
 use super::SessionError;
 use super::commit::{self, Disk, Replace};
@@ -17,6 +14,7 @@ use super::record::SessionRecord;
 use super::verify::{self, Summary};
 use crate::device::{FrameKey, RawFrame};
 use crate::file_system::{self, PART};
+use crate::outside_file::never_waiting;
 use crate::whole_file;
 
 /// A rig file has at most 256 KiB, and a light takes about 60 bytes.
@@ -579,13 +577,9 @@ pub fn lock_for_job(root: &Path) -> Result<File, SessionError> {
 fn lock(root: &Path, name: &str) -> Result<File, SessionError> {
     let path = root.join(name);
     // A link or a named pipe in its place is neither followed nor waited for.
-    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .custom_flags(flags.bits().cast_signed())
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false);
+    let file = never_waiting(&mut options, false)
         .open(&path)
         .map_err(|e| SessionError::io("open", &path, e))?;
     match file_system::lock(&file, &path) {

@@ -29,6 +29,7 @@ mod fit_work;
 mod image_order;
 mod lamp_drift;
 mod notice;
+#[cfg(target_os = "linux")]
 mod repeatability;
 mod scene_check;
 mod session_images;
@@ -54,6 +55,7 @@ pub use fit_images::{ImageFit, NamedImage, fit_images, fit_images_in_memory};
 pub use fit_session::{Expected, expected, fit_session, fit_session_into, work_of};
 pub use fit_work::FitWork;
 pub use notice::{Notice, Observer};
+#[cfg(target_os = "linux")]
 pub use repeatability::{Repeatability, measure_repeatability};
 pub use scene_check::check_scene;
 pub use session_images::{SessionImages, session_images};

@@ -213,17 +213,18 @@ pub struct Exported {
 /// # Errors
 /// An unusable fit, a format that needs the fit's session, or the system's error.
 pub fn export(record: &FitRecord, format: &Format, out: &Path) -> Result<Exported, ExportError> {
-    export_as(record, None, format, out)
+    export_as(record, None, false, format, out)
 }
 
-/// [`export`] with a name for the material in files of other programs' models; that of the file
-/// if `None`.
+/// [`export`] with what matters in files of other programs' models, as [`Subject`] has it: the
+/// material's name and whether the closest is sought.
 ///
 /// # Errors
 /// As there.
 pub fn export_as(
     record: &FitRecord,
     name: Option<&str>,
+    closest: bool,
     format: &Format,
     out: &Path,
 ) -> Result<Exported, ExportError> {
@@ -237,6 +238,7 @@ pub fn export_as(
                 description: &description,
                 simulated: record.simulated,
                 name,
+                closest,
                 out,
             };
             return subject.export(model);
@@ -282,6 +284,8 @@ pub struct Subject<'a> {
     pub simulated: bool,
     /// What the material is called; if `None` as the file without its ending.
     pub name: Option<&'a str>,
+    /// Whether layers and tints that gain little are kept.
+    pub closest: bool,
     /// The file to write.
     pub out: &'a Path,
 }
@@ -293,7 +297,7 @@ impl Subject<'_> {
     /// # Errors
     /// A BRDF that no model comes near, or the system's error.
     pub fn export(&self, format: ModelFormat) -> Result<Exported, ExportError> {
-        let model = AsModel::of(self.brdf, format)?;
+        let model = AsModel::of(self.brdf, format, self.closest)?;
         let bytes = match format {
             ModelFormat::OpenPbr => materialx::to_xml(&model, self).into_bytes(),
             ModelFormat::Blender => blender::to_script(&model, self).into_bytes(),

@@ -78,12 +78,16 @@ pub struct AsModel {
 }
 
 impl AsModel {
-    /// The nearest of that program's materials to `brdf`.
+    /// That of the program's materials which is nearest to `brdf`, without layers and tints
+    /// that gain little unless it shall be the `closest`.
     ///
     /// # Errors
     /// A BRDF that reflects nothing, or has undefined values.
-    pub fn of(brdf: &dyn Brdf, format: ModelFormat) -> Result<Self, FitError> {
-        let fitted = parametric::fit(brdf, format.model())?;
+    pub fn of(brdf: &dyn Brdf, format: ModelFormat, closest: bool) -> Result<Self, FitError> {
+        let fitted = match closest {
+            true => parametric::closest(brdf, format.model())?,
+            false => parametric::fit(brdf, format.model())?,
+        };
         let fitted = Fitted {
             parameters: fitted.parameters.rounded(DECIMALS),
             core: fitted.core.rounded(DECIMALS),

@@ -237,6 +237,7 @@ fn names_of_materials_differ_as_those_of_files() {
             description: "",
             simulated: false,
             name: None,
+            closest: false,
             out: &out,
         };
         assert_eq!(subject.name(), name);

@@ -24,8 +24,11 @@ pub type Open = fn(&OsStr, Description) -> Result<Box<dyn Camera>, DeviceError>;
 pub struct Driver {
     /// Value of `camera.driver`.
     pub name: &'static str,
-    /// How `rig init` offers it while no camera of it is connected.
+    /// How `rig init` offers it while no camera of it is connected; empty where this build
+    /// lacks it.
     pub offer: &'static str,
+    /// Whether its frames are for practice, not for measurement: `rig init` says so.
+    pub only_practice: bool,
     /// The one key of `[camera]` that is this driver's own.
     pub key: &'static str,
     /// What the key may be, as errors state it.

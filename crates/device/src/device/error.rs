@@ -1,6 +1,8 @@
 //! What goes wrong at a device; facts only.
 
-use super::{AnswerFault, Speaker, retake};
+#[cfg(target_os = "linux")]
+use super::AnswerFault;
+use super::{Speaker, retake};
 use crate::units::{Seconds, StageAngles};
 
 /// What went wrong at a device; facts only.
@@ -26,6 +28,8 @@ pub enum DeviceError {
     /// Another program controls a camera on the network.
     #[error("{device} is controlled by another program")]
     Controlled { device: String },
+    #[error("this program was built without the driver of this camera")]
+    WithoutDriver,
     #[error("{device} did not answer within {timeout} (sent {sent:?})")]
     NoReply {
         device: String,
@@ -60,6 +64,7 @@ pub enum DeviceError {
         fault: ProgramFault,
     },
     /// What a camera's program reports of a frame is not what may stand there.
+    #[cfg(target_os = "linux")]
     #[error("{program}: {fault}")]
     Answer { program: String, fault: AnswerFault },
     #[error("{device} is the camera {is:?}, and {wanted:?} is wanted")]

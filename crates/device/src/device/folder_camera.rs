@@ -20,6 +20,7 @@ use crate::units::Seconds;
 pub const DRIVER: Driver = Driver {
     name: "folder",
     offer: "a folder into which another program writes frames",
+    only_practice: false,
     key: "folder",
     allowed: "a path",
     is_path: true,

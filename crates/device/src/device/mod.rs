@@ -4,22 +4,28 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was requested.
 
+#[cfg(target_os = "linux")]
 pub mod by_hand;
+#[cfg(target_os = "linux")]
 pub mod command_camera;
 pub mod controls;
 pub mod described;
 pub mod described_drivers;
+#[cfg(target_os = "linux")]
 pub mod discovery;
 pub mod dome;
 mod error;
 pub mod even_light;
+#[cfg(target_os = "linux")]
 pub mod folder_camera;
 pub mod frame_figures;
 pub mod frame_row;
 #[cfg(feature = "genicam")]
 pub mod genicam;
+#[cfg(target_os = "linux")]
 pub mod gphoto2;
 pub mod grbl;
+#[cfg(target_os = "linux")]
 pub mod guardian;
 pub mod image_file;
 pub mod kinematics;
@@ -55,6 +61,7 @@ use std::time::Duration;
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
+#[cfg(target_os = "linux")]
 pub use self::command_camera::AnswerFault;
 pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, WebcamFault};
 pub use self::speaker::Speaker;
@@ -217,11 +224,13 @@ pub trait LightStage: Send {
         }
     }
     /// Who watches over the thread that uses this stage; by default nobody.
+    #[cfg(target_os = "linux")]
     fn watchdog(&self) -> guardian::Watchdog {
         guardian::Watchdog::default()
     }
     /// How another process stops this stage over its open port when this process
     /// is gone; `None` where there is no such way.
+    #[cfg(target_os = "linux")]
     fn port_stop(&self) -> Result<Option<guardian::PortStop>, DeviceError> {
         Ok(None)
     }

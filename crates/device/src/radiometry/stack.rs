@@ -4,7 +4,6 @@
 use std::fs::File;
 use std::io;
 use std::ops::Range;
-use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use super::agreement::{ExposureAgreement, ExposureTally, add_all, by_colour};
@@ -48,6 +47,33 @@ fn reason(error: &std::io::Error) -> String {
         std::io::ErrorKind::StorageFull => "no space left".to_owned(),
         _ => error.to_string(),
     }
+}
+
+#[cfg(unix)]
+fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
+    std::os::unix::fs::FileExt::write_all_at(file, bytes, at)
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, bytes: &mut [u8], at: u64) -> io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, bytes, at)
+}
+
+/// All at once, as files on a disk are written and read there.
+#[cfg(windows)]
+fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
+    let written = std::os::windows::fs::FileExt::seek_write(file, bytes, at)?;
+    (written == bytes.len())
+        .then_some(())
+        .ok_or(io::ErrorKind::WriteZero.into())
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, bytes: &mut [u8], at: u64) -> io::Result<()> {
+    let read = std::os::windows::fs::FileExt::seek_read(file, bytes, at)?;
+    (read == bytes.len())
+        .then_some(())
+        .ok_or(io::ErrorKind::UnexpectedEof.into())
 }
 
 impl Stack {
@@ -111,8 +137,7 @@ impl Stack {
         }
         for (plane, counts) in planes.iter().enumerate() {
             let at = self.offset(self.frames.len(), plane, 0);
-            self.file
-                .write_all_at(bytemuck::cast_slice(counts.as_ref()), at)?;
+            write_at(&self.file, bytemuck::cast_slice(counts.as_ref()), at)?;
         }
         self.frames.push((role, exposure_s));
         Ok(())
@@ -181,8 +206,7 @@ impl Stack {
                 if role == FrameRole::Light {
                     let mut counts = vec![0u16; (bottom - top) * self.width];
                     let at = self.offset(frame, plane, top);
-                    self.file
-                        .read_exact_at(bytemuck::cast_slice_mut(&mut counts), at)?;
+                    read_at(&self.file, bytemuck::cast_slice_mut(&mut counts), at)?;
                     frames.push((exposure_s, counts));
                 }
             }
@@ -283,9 +307,7 @@ impl<'a> Bands<'a> {
             for &frame in &self.frames {
                 let (role, exposure_s) = stack.frames[frame];
                 let at = stack.offset(frame, plane, top);
-                stack
-                    .file
-                    .read_exact_at(bytemuck::cast_slice_mut(&mut counts), at)?;
+                read_at(&stack.file, bytemuck::cast_slice_mut(&mut counts), at)?;
                 merge.add(role, exposure_s, &counts)?;
             }
             let (merged, more) = merge.finish_band()?;

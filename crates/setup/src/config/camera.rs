@@ -71,6 +71,8 @@ pub(super) struct Offered {
     pub name: &'static str,
     /// What it is, while no camera of it is connected.
     pub offer: &'static str,
+    /// Whether its frames are for practice, not for measurement.
+    pub only_practice: bool,
     /// The key that says which camera.
     pub key: &'static str,
     pub allowed: &'static str,
@@ -82,6 +84,7 @@ pub(super) struct Offered {
 pub(super) const V4L: Offered = Offered {
     name: "v4l",
     offer: "a Video4Linux camera that is not connected now",
+    only_practice: false,
     key: "device",
     allowed: "a path such as /dev/v4l/by-id/NAME",
     accepts: |text| !text.to_string_lossy().trim().is_empty(),
@@ -89,9 +92,11 @@ pub(super) const V4L: Offered = Offered {
 
 /// The drivers that a new rig file may name.
 pub(super) fn offered() -> impl Iterator<Item = Offered> {
-    let described = DRIVERS.iter().map(|driver| Offered {
+    let built = DRIVERS.iter().filter(|driver| !driver.offer.is_empty());
+    let described = built.map(|driver| Offered {
         name: driver.name,
         offer: driver.offer,
+        only_practice: driver.only_practice,
         key: driver.key,
         allowed: driver.allowed,
         accepts: driver.accepts,

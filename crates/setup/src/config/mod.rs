@@ -4,6 +4,7 @@
 mod build;
 pub mod calibration_light;
 pub mod camera;
+#[cfg(target_os = "linux")]
 pub mod draft;
 pub mod fit;
 pub mod geometry;

@@ -51,7 +51,7 @@ struct Written {
 ///
 /// # Errors
 /// An answer that is no object, has an unknown key, or a value outside its range.
-pub(super) fn parse(stdout: &str) -> Result<Stated, AnswerFault> {
+pub fn parse(stdout: &str) -> Result<Stated, AnswerFault> {
     // What encodings leave behind: byte order marks, the zeros of UTF-16.
     let stdout = stdout.replace(['\u{feff}', '\0'], "");
     let Some(text) = answer_in(&stdout) else {

@@ -2,7 +2,7 @@
 //! where to put the file, and must have written it when it ends. It may report on its
 //! standard output what exposure, gain, serial number and temperature the frame had.
 
-mod answer;
+pub mod answer;
 mod kept;
 pub mod program;
 mod started;
@@ -27,6 +27,7 @@ pub use self::workplace::keep;
 pub const DRIVER: Driver = Driver {
     name: "command",
     offer: "a program that takes each frame",
+    only_practice: false,
     key: "command",
     allowed: "a program with its arguments, among them {exposure_s} and {output}",
     is_path: false,

@@ -28,6 +28,7 @@ use crate::units::Seconds;
 pub const DRIVER: Driver = Driver {
     name: "genicam",
     offer: "a genicam camera that is not connected now",
+    only_practice: false,
     key: "device",
     allowed: choice::ALLOWED,
     is_path: false,

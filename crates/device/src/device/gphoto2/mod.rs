@@ -9,7 +9,7 @@ mod camera;
 mod finding;
 mod frames;
 mod opening;
-mod output;
+pub mod output;
 mod program;
 mod raw_file;
 mod serial;
@@ -23,6 +23,7 @@ use super::described::Driver;
 pub const DRIVER: Driver = Driver {
     name: "gphoto2",
     offer: "a gphoto2 camera that is not connected now",
+    only_practice: false,
     key: "body",
     allowed: body_choice::ALLOWED,
     is_path: false,

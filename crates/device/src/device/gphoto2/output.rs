@@ -2,14 +2,15 @@
 
 /// A setting of the body, as gphoto2 prints it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Setting {
-    pub(super) is_read_only: bool,
-    pub(super) current: String,
-    pub(super) choices: Vec<String>,
+#[allow(missing_docs)]
+pub struct Setting {
+    pub is_read_only: bool,
+    pub current: String,
+    pub choices: Vec<String>,
 }
 
 /// The table of `gphoto2 --auto-detect`: two columns below a line of dashes.
-pub(super) fn parse_detected(text: &str) -> Vec<(String, String)> {
+pub fn parse_detected(text: &str) -> Vec<(String, String)> {
     text.lines()
         .skip_while(|line| !line.starts_with("---"))
         .skip(1)
@@ -52,7 +53,7 @@ pub(super) fn one_line(text: &str) -> String {
 }
 
 /// The blocks of `gphoto2 --get-config`, each up to its line `END`.
-pub(super) fn parse_settings(text: &str) -> Vec<Setting> {
+pub fn parse_settings(text: &str) -> Vec<Setting> {
     let mut settings = Vec::new();
     let mut setting = None;
     for line in text.lines() {

@@ -33,6 +33,7 @@ use worker::Worker;
 pub const DRIVER: Driver = Driver {
     name: "webcam",
     offer: "a webcam that is not connected now",
+    only_practice: true,
     key: "device",
     allowed: "a path such as /dev/v4l/by-id/…; where there are none, a number as `rig devices` lists it",
     is_path: false,

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::answer::Answers;
-use super::found::Found;
+use super::found::{Found, marked};
 use super::table::directions;
 use crate::config::camera::offered;
 
@@ -63,6 +63,8 @@ pub(super) struct Derived<'a> {
 #[derive(Serialize)]
 struct Device<'a> {
     driver: &'static str,
+    /// The remark on it, which says so where its frames are for practice alone.
+    remark: String,
     /// The driver's key that says which camera.
     key: &'static str,
     /// What stands there.
@@ -94,6 +96,7 @@ fn device<'a>(answers: &'a Answers, found: &'a Found) -> Option<Device<'a>> {
     let driver = offered().find(|driver| driver.name == name)?;
     Some(Device {
         driver: driver.name,
+        remark: marked("What speaks to the camera", driver.only_practice),
         key: driver.key,
         address,
         serial: found.serial_of(choice),

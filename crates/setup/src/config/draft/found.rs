@@ -5,9 +5,12 @@ use std::path::Path;
 use super::question::Choice;
 use crate::config::camera::V4L;
 use crate::device::DeviceError;
-use crate::device::described::FoundCamera;
+use crate::device::described::{Driver, FoundCamera};
 use crate::device::described_drivers::DRIVERS;
 use crate::device::discovery::{DeviceKind, FoundDevice, find_devices};
+
+/// What a camera for practice alone is marked by.
+pub(super) const NO_MEASUREMENT: &str = "8 bits, not for measurement";
 
 /// What is connected.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,11 +38,10 @@ impl Found {
         let mut failed = Vec::new();
         for driver in DRIVERS {
             match (driver.find)() {
-                Ok(cameras) => found.cameras.extend(
-                    cameras
-                        .into_iter()
-                        .map(|camera| listed(driver.name, camera)),
-                ),
+                Ok(cameras) => {
+                    let listed = cameras.into_iter().map(|camera| listed(driver, camera));
+                    found.cameras.extend(listed);
+                }
                 Err(error) => failed.push((driver.name, error)),
             }
         }
@@ -91,7 +93,7 @@ impl Found {
     }
 }
 
-fn listed(driver: &str, camera: FoundCamera) -> FoundChoice {
+fn listed(driver: &Driver, camera: FoundCamera) -> FoundChoice {
     let FoundCamera {
         address,
         model,
@@ -101,12 +103,22 @@ fn listed(driver: &str, camera: FoundCamera) -> FoundChoice {
     let problem = problem.map_or(String::new(), |problem| {
         format!(" (cannot be opened: {problem})")
     });
+    let name = driver.name;
+    let label = format!("{model}, {name}, {address}");
     FoundChoice {
         choice: Choice {
-            label: format!("{model}, {driver}, {address}{problem}"),
-            value: format!("{driver} {address}"),
+            label: marked(&label, driver.only_practice) + &problem,
+            value: format!("{name} {address}"),
         },
         serial,
+    }
+}
+
+/// How a camera is offered.
+pub(super) fn marked(offer: &str, only_practice: bool) -> String {
+    match only_practice {
+        true => format!("{offer}: for practice, {NO_MEASUREMENT}"),
+        false => offer.to_owned(),
     }
 }
 

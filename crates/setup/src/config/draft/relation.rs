@@ -3,13 +3,14 @@
 use super::answer::{AnswerError, Answers};
 use super::derived::{channels, field_mm, field_of_view};
 use super::table::directions;
+use crate::config::camera::offered;
 
 /// Checks every relation whose answers are there.
 ///
 /// # Errors
 /// [`AnswerError::Invalid`] with the key of the answer that was asked for last.
 pub fn check(answers: &Answers) -> Result<(), AnswerError> {
-    let all = [lens, sample, limits, axes, filters, addresses];
+    let all = [practice, lens, sample, limits, axes, filters, addresses];
     all.iter()
         .try_for_each(|relation| relation(answers).unwrap_or(Ok(())))
 }
@@ -31,6 +32,19 @@ fn must(
             allowed,
         }),
     }
+}
+
+/// A camera for practice alone has 8 bits.
+fn practice(answers: &Answers) -> Outcome {
+    let name = answers.text("camera")?.split(' ').next()?;
+    offered().find(|driver| driver.name == name && driver.only_practice)?;
+    let bits = answers.whole("bit_depth")?;
+    Some(must(
+        "bit_depth",
+        bits == 8,
+        bits,
+        format!("8 with a {name}"),
+    ))
 }
 
 /// A lens focuses beyond its focal length, and sees an angle that the rig file can state.

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::ops::RangeInclusive;
 
 use super::answer::Answer;
-use super::found::Found;
+use super::found::{Found, marked};
 use super::question::{Choice, Kind, Question, TextRule, When};
 use crate::config::camera::offered;
 use crate::config::lab;
@@ -115,7 +115,7 @@ fn of_the_camera(found: &Found) -> Vec<Question> {
     // Those that are not connected now: then a text is asked for.
     cameras.extend(offered().map(|driver| Choice {
         value: driver.name.to_owned(),
-        label: driver.offer.to_owned(),
+        label: marked(driver.offer, driver.only_practice),
     }));
     let names: Vec<&str> = offered().map(|driver| driver.name).collect();
     let addresses = offered().map(|driver| format!("{}: {}", driver.name, driver.allowed));

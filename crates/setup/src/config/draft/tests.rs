@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::question::Kind;
 use super::*;
+use crate::config::camera::offered;
 use crate::config::lab::LabConfig;
 use crate::config::stage::StageDriver;
 use crate::config::view::SurfaceSpec;
@@ -96,6 +97,31 @@ fn every_stage_with_every_camera_gives_a_rig_file() {
             let lines = written.text.lines().count();
             assert!(lines > 80, "{lines} lines:\n{}", written.text);
         }
+    }
+}
+
+/// Sessions of every driver can be read, whether or not this build can open its cameras; those
+/// for practice alone are marked wherever they are offered, and have 8 bits.
+#[test]
+fn drivers_are_known_without_their_features_and_marked_where_they_only_practise() {
+    let text = made(&bench(CAMERAS[0], STAGES[0])).unwrap().text;
+    for name in ["genicam", "webcam"] {
+        let text = text.replace("\"v4l\"", &format!("{name:?}"));
+        let address = text.replace("/dev/v4l/by-id/usb-Mono_C4711-video-index0", "C4711");
+        let rig = RigConfig::parse(FILE, Path::new(""), &address);
+        assert!(rig.is_ok(), "{name}: {:?}", rig.err());
+        if !offered().any(|driver| driver.name == name && driver.only_practice) {
+            continue;
+        }
+        let mut answers = bench((name, Some("/dev/video0")), STAGES[0]);
+        let error = made(&answers).unwrap_err().to_string();
+        assert!(
+            error.contains("bit_depth") && error.contains("8 with a webcam"),
+            "{error}"
+        );
+        answers.set("bit_depth", Answer::Number(8.0));
+        let text = made(&answers).unwrap().text;
+        assert!(text.contains("8 bits, not for measurement"), "{text}");
     }
 }
 
