@@ -235,7 +235,7 @@ fn do_jobs(
     bar.finish_and_clear();
     let summary = summary?;
     if summary.before > 0 {
-        context.note(format!("{} done before", were(summary.before, "job")));
+        context.note(format!("{} done before", count(summary.before, "job")));
     }
     Ok(summary)
 }
@@ -270,16 +270,10 @@ const AFTER_FAILURE: &str =
 
 fn busy_error(busy: &[usize]) -> CliError {
     let numbers: Vec<String> = busy.iter().map(usize::to_string).collect();
-    let fact = match busy {
-        [_] => format!(
-            "another process is at work on the session of job {}",
-            numbers[0]
-        ),
-        _ => format!(
-            "other processes are at work on the sessions of jobs {}",
-            numbers.join(", ")
-        ),
-    };
+    let fact = format!(
+        "other processes are at work on the sessions of these jobs: {}",
+        numbers.join(", ")
+    );
     CliError::new(fact).hint(
         "this batch or another one is being run elsewhere: wait for it, then the same command completes this one",
     )
@@ -295,7 +289,7 @@ fn show(
     for file in &collected.files {
         context.note(file.display());
     }
-    context.note_lines(summary(collected));
+    context.note_lines(collected.lines());
     if args.json {
         output::write_json(&collected.json)?;
     } else {
@@ -325,29 +319,6 @@ fn show(
     }
 }
 
-/// How many jobs came to what, a line each.
-fn summary(collected: &Collected) -> Vec<String> {
-    let of_fits = collected.verdicts.iter().map(|&(verdict, fits)| {
-        let (explain, is) = if fits == 1 {
-            ("explains", "is")
-        } else {
-            ("explain", "are")
-        };
-        let come_to = match verdict {
-            Verdict::Explains => format!("{explain} the images"),
-            Verdict::Reservations => {
-                format!("{explain} the images with reservations: look at the reasons")
-            }
-            Verdict::NotToBeTrusted => format!("{is} not to be trusted"),
-        };
-        format!("{} {come_to}", count(fits, "fit"))
-    });
-    let others = [(collected.failed, "failed"), (collected.open, "to be done")];
-    let others = others.into_iter().filter(|(jobs, _)| *jobs > 0);
-    let others = others.map(|(jobs, what)| format!("{} {what}", count(jobs, "job")));
-    of_fits.chain(others).collect()
-}
-
 /// An error where fits have the verdict that the operator does not accept, or a worse one.
 fn check_verdicts(found: &[(Verdict, usize)], fail_on: Option<FailOn>) -> Result<(), CliError> {
     let Some(worst) = fail_on.map(Verdict::from) else {
@@ -372,10 +343,6 @@ fn check_verdicts(found: &[(Verdict, usize)], fail_on: Option<FailOn>) -> Result
 
 fn count(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
-}
-
-fn were(n: usize, what: &str) -> String {
-    format!("{} {}", count(n, what), if n == 1 { "was" } else { "were" })
 }
 
 fn is_are(n: usize) -> &'static str {

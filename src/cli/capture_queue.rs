@@ -19,7 +19,7 @@ use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
 use crate::config::ResolvedRig;
 use crate::interrupt::{Interrupt, Signal};
 use crate::queue::{
-    Answer, Entry, Fitted, Question, Queue, RunState, Sample, Unreadable, Worker, carry_out,
+    Answer, Entry, Fitted, Question, Queue, RunState, Sample, Worker, carry_out, overview,
 };
 use crate::shown::{escaped, with_causes};
 
@@ -326,79 +326,16 @@ impl Worker for Work<'_> {
 /// What became of every sample, on stdout.
 fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
     if request.json {
-        let samples = queue.samples().iter().map(|sample| {
-            let runs = queue
-                .entries()
-                .iter()
-                .filter(|run| run.sample == sample.name);
-            json!({
-                "sample": sample.name,
-                "sessions": runs.collect::<Vec<_>>(),
-                "left_out": queue.left_out_of(sample),
-                "reason": queue.left_out(sample).and_then(|out| out.reason.as_deref()),
-                "unreadable": unreadable(queue, sample).collect::<Vec<_>>(),
-                "left": queue.left_of(sample),
-            })
-        });
         return write_json(&json!({
             "folder": request.folder.to_string_lossy(),
-            "samples": samples.collect::<Vec<_>>(),
+            "samples": overview::samples(queue),
             "left": queue.left(),
         }));
     }
     let mut table = Table::new(&["sample", " run", "state", "session"]);
-    for sample in queue.samples() {
-        let name = || sample.name.clone();
-        let runs = queue
-            .entries()
-            .iter()
-            .filter(|run| run.sample == sample.name);
-        for (number, run) in (1..).zip(runs) {
-            let session = run.session.clone();
-            table.row([name(), number.to_string(), state(&run.state), session]);
-        }
-        for session in unreadable(queue, sample) {
-            let state = "cannot be read".to_owned();
-            table.row([name(), String::new(), state, session.to_owned()]);
-        }
-        let others = [
-            (queue.left_out_of(sample), "left out"),
-            (queue.left_of(sample), "to do"),
-        ];
-        for (count, state) in others {
-            let mut state = match count {
-                0 => continue,
-                1 => state.to_owned(),
-                count => format!("{count} {state}"),
-            };
-            let out = queue
-                .left_out(sample)
-                .filter(|_| state.ends_with("left out"));
-            if let Some(reason) = out.and_then(|out| out.reason.as_ref()) {
-                state += &format!(": {}", escaped(reason));
-            }
-            table.row([name(), String::new(), state, String::new()]);
-        }
+    for line in overview::lines(queue) {
+        let run = line.run.map_or_else(String::new, |run| run.to_string());
+        table.row([line.sample, run, escaped(&line.state), line.session]);
     }
     table.print()
-}
-
-/// The sessions of a sample that are none any more.
-fn unreadable<'a>(queue: &'a Queue, sample: &'a Sample) -> impl Iterator<Item = &'a str> {
-    let all = queue.unreadable().iter();
-    let own = all.filter(|one| one.sample == sample.name);
-    own.map(|one| one.session.as_str())
-}
-
-fn state(state: &RunState) -> String {
-    match state {
-        RunState::Begun | RunState::Abandoned => "interrupted".to_owned(),
-        RunState::Captured => "captured".to_owned(),
-        RunState::Done { error: Some(_), .. } => "fit failed".to_owned(),
-        RunState::Done { verdict: None, .. } => "captured, not fitted".to_owned(),
-        RunState::Done {
-            verdict: Some(verdict),
-            ..
-        } => verdict.word().to_owned(),
-    }
 }

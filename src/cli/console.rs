@@ -14,12 +14,11 @@ use super::exit::Exit;
 use super::output::write_path;
 use super::rig_choice::RigArg;
 use super::{bench_ports, definition, interrupt};
-use crate::config::{Origin, ResolvedRig, RigConfig};
+use crate::config::{Origin, ResolvedRig};
 use crate::console::jobs::{Kind, Work};
 use crate::console::server::{ListenOptions, Server, is_host_name};
 use crate::console::whole::{Console, Notice, Subject, Surroundings, Then, Woken};
 use crate::interrupt::Signal;
-use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
 
 /// The bench in a browser: live picture, capture, progress, results
@@ -134,7 +133,7 @@ fn subject_of_capture(arguments: &[OsString], context: &Context) -> Result<Subje
         .subcommand()
         .ok_or_else(|| CliError::new("no capture to show"))?;
     if let Ok(Some(root)) = matches.try_get_one::<PathBuf>("resume") {
-        return subject_of_session(root);
+        return Ok(Subject::of_session(root)?);
     }
     let rig = matches.try_get_one::<String>("rig").ok().flatten();
     let rig = RigArg { rig: rig.cloned() };
@@ -148,26 +147,6 @@ fn subject_of_capture(arguments: &[OsString], context: &Context) -> Result<Subje
         named: name_of(&rig, &resolved),
         rig: resolved,
         folder: folder.unwrap_or_else(|| SESSIONS_FOLDER.into()),
-    })
-}
-
-/// What a console of a session, which has its own rig, is about.
-fn subject_of_session(root: &Path) -> Result<Subject, CliError> {
-    let session = Session::open(root)?;
-    let record = session.record();
-    let file = record.rig.clone();
-    let bare = file.strip_prefix("built-in ");
-    let named = bare.and_then(|name| name.strip_suffix(".toml"));
-    let parent = root.parent().filter(|parent| *parent != Path::new(""));
-    Ok(Subject {
-        named: named.unwrap_or(&file).to_owned(),
-        folder: parent.unwrap_or(Path::new(".")).to_owned(),
-        rig: ResolvedRig {
-            config: RigConfig::parse(&file, Path::new(""), &record.config)?,
-            origin: Origin::Argument,
-            folder: Path::new(&file).parent().map(Path::to_owned),
-            file,
-        },
     })
 }
 

@@ -6,6 +6,7 @@ use serde_json::json;
 
 use super::number::within;
 use super::output::{write_json, write_path};
+use super::progress::Counting;
 use super::table::{Table, percent};
 use super::{CliError, Context};
 use crate::brdf::nbrdf;
@@ -13,7 +14,6 @@ use crate::config::scene::SceneFile;
 use crate::design::{self, Design, DesignError, DesignRequest, Limits, Reach};
 use crate::inverse::expected_error::{BANDS, BANDS_DEG, ExpectedError, USUAL};
 use crate::out;
-use crate::progress::Progress;
 
 /// Designs a sample with its camera and lamps, or tells what given ones are expected to leave open
 ///
@@ -79,15 +79,6 @@ fn tilt(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// A bar over the designs that are looked at.
-struct Designs<'a>(&'a indicatif::ProgressBar);
-
-impl Progress for Designs<'_> {
-    fn advance(&self, designs: usize) {
-        self.0.inc(designs as u64);
-    }
-}
-
 /// `rig design`.
 pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
     let request = DesignRequest {
@@ -122,7 +113,7 @@ fn search(
     context: &Context,
 ) -> Result<(), CliError> {
     let bar = context.bar(u64::from(request.rounds * request.population), "designs");
-    let found = design::design(request, &Designs(&bar));
+    let found = design::design(request, &Counting(&bar));
     bar.finish_and_clear();
     let found = found.map_err(advise)?;
     let written = design::write(folder, &found, request)?;

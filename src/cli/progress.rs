@@ -6,9 +6,19 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::context::Context;
 use super::stderr::Drawing;
+use crate::progress::Progress;
 
 /// Drawings per second at most.
 const RATE_HZ: u8 = 20;
+
+/// A bar that counts the steps of some work.
+pub struct Counting<'a>(pub &'a ProgressBar);
+
+impl Progress for Counting<'_> {
+    fn advance(&self, steps: usize) {
+        self.0.inc(steps as u64);
+    }
+}
 
 impl Context {
     /// What bars draw on: stderr through its queue, or nothing where progress is hidden.

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::output::{check_ending, check_writable, write_json, write_path};
+use super::progress::Counting;
 use super::{CliError, Context, preflight};
-use crate::progress::Progress;
 use crate::rendering::{RenderError, RenderRequest, Rendering};
 use crate::shown::nth;
 use crate::transport::{Remainder, RenderOptions};
@@ -59,15 +59,6 @@ struct Answer {
 /// The least share of the light that is worth a remark if it is cut off.
 const TRUNCATION_REMARK: f64 = 1e-4;
 
-/// A bar over the rows of pixels.
-struct Rows<'a>(&'a indicatif::ProgressBar);
-
-impl Progress for Rows<'_> {
-    fn advance(&self, rows: usize) {
-        self.0.inc(rows as u64);
-    }
-}
-
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     let outputs = [Some(&args.out), args.deviation.as_ref()];
@@ -101,7 +92,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     }
     // The work.
     let bar = context.bar(rendering.rows() as u64, "rows");
-    let rendered = rendering.run(&Rows(&bar));
+    let rendered = rendering.run(&Counting(&bar));
     bar.finish_and_clear();
     let rendered = rendered.map_err(advise)?;
     for (light, cut) in rendered.truncation.iter().enumerate() {

@@ -154,7 +154,7 @@ fn shards_and_killed_jobs_give_the_tables_of_one_process() {
     assert_eq!(fits(&divided.path().join("a")), 1);
     let output = batch(&divided, "run out/jobs.toml --index 1");
     assert_done(&output);
-    assert!(text(&output.stderr).contains("1 job was done before"));
+    assert!(text(&output.stderr).contains("1 job done before"));
 
     // Another process is at work on a session: of this batch, or of another one.
     assert_done(&batch(&divided, "new c --out other --fit OPTIONS"));
@@ -234,7 +234,7 @@ echo 7
     assert_done(&output.unwrap());
     let said = fs::read_to_string(folder.path().join("said")).unwrap();
     for part in [
-        "2 jobs were done before",
+        "2 jobs done before",
         "job 2 failed",
         "1 of 3 jobs failed",
     ] {

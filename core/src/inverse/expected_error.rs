@@ -13,7 +13,7 @@ use std::sync::Arc;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::normal_equations::{above_noise, add_product};
+use super::normal_equations::above_noise;
 use super::objective::{Channels, DiscrepancyModel, ModelImage, Objective};
 use crate::brdf::discrepancy::{Discrepancy, Material, Prior};
 use crate::brdf::environment::EnvironmentMap;
@@ -21,6 +21,7 @@ use crate::brdf::error_curvature::ErrorCurvature;
 use crate::brdf::nbrdf::NeuralBrdf;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::cells::{Captured, CellImage, CellOptions, Grid, choose};
+use crate::outer_products::Products;
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};
 
@@ -384,11 +385,11 @@ fn of_lights(
     let images = objective.modelled(&white);
     let residual_weights: Vec<_> = images.iter().enumerate().map(of_light).collect();
     let n = prior.modes().ncols();
-    let mut all = objective.accumulate(
+    let sums = objective.accumulate(
         &white,
         &residual_weights,
         Some(prior.modes()),
-        || vec![DMatrix::zeros(n, n); objective.lights()],
+        || vec![Products::zero(n); objective.lights()],
         |sums, value| {
             let direct = model
                 .direct
@@ -398,18 +399,15 @@ fn of_lights(
                 both.map(|(&i, &d)| f64::from(i) + value.direct * f64::from(d))
                     .collect()
             });
-            add_product(&mut sums[value.light], &a, &b, value.weight);
+            sums[value.light].add(value.weight, [&a, &b]);
         },
         |total, part| {
             for (sum, part) in total.iter_mut().zip(part) {
-                *sum += part;
+                sum.join(part);
             }
         },
     );
-    for sum in &mut all {
-        sum.fill_upper_triangle_with_lower_triangle();
-    }
-    all
+    sums.into_iter().map(Products::matrix).collect()
 }
 
 #[cfg(test)]

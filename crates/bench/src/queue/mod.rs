@@ -27,6 +27,7 @@
 mod error;
 mod journal;
 mod list;
+pub mod overview;
 mod state;
 mod work;
 

@@ -21,9 +21,10 @@ use super::picture::outline_routes;
 use super::queue;
 use super::rigs::{self, Rigs};
 use super::server::{Parts, Running, Server, ServerError};
-use crate::config::ResolvedRig;
+use crate::config::{ConfigError, Origin, ResolvedRig, RigConfig};
 use crate::fault::{Advisor, Fault};
 use crate::interrupt::Signal;
+use crate::session::{Session, SessionError};
 
 /// The devices are closed in this time, or the guardian sees to the lamp.
 const CLOSING: Duration = Duration::from_secs(15);
@@ -46,6 +47,31 @@ pub struct Subject {
     pub named: String,
     /// Folder of the sessions.
     pub folder: PathBuf,
+}
+
+impl Subject {
+    /// That of a session, which has its own rig.
+    ///
+    /// # Errors
+    /// The session or its rig cannot be read.
+    pub fn of_session(root: &Path) -> Result<Self, ConsoleError> {
+        let session = Session::open(root)?;
+        let record = session.record();
+        let file = record.rig.clone();
+        let bare = file.strip_prefix("built-in ");
+        let named = bare.and_then(|name| name.strip_suffix(".toml"));
+        let parent = root.parent().filter(|parent| *parent != Path::new(""));
+        Ok(Self {
+            named: named.unwrap_or(&file).to_owned(),
+            folder: parent.unwrap_or(Path::new(".")).to_owned(),
+            rig: ResolvedRig {
+                config: RigConfig::parse(&file, Path::new(""), &record.config)?,
+                origin: Origin::Argument,
+                folder: Path::new(&file).parent().map(Path::to_owned),
+                file,
+            },
+        })
+    }
 }
 
 /// What wakes the thread that runs a console.
@@ -116,6 +142,12 @@ pub enum ConsoleError {
     /// Its server does not start.
     #[error("{0}")]
     Server(#[from] ServerError),
+    /// The session that it is about.
+    #[error("{0}")]
+    Session(#[from] SessionError),
+    /// The rig of that session.
+    #[error("{0}")]
+    Rig(#[from] ConfigError),
     /// The system gives no thread.
     #[error("{0}")]
     Io(#[from] std::io::Error),

@@ -25,6 +25,34 @@ pub struct Collected {
     pub files: Vec<PathBuf>,
 }
 
+impl Collected {
+    /// How many jobs came to what, a line each.
+    pub fn lines(&self) -> Vec<String> {
+        let plural = |n: usize, what: &str| match n {
+            1 => format!("1 {what}"),
+            n => format!("{n} {what}s"),
+        };
+        let of_fits = self.verdicts.iter().map(|&(verdict, fits)| {
+            let (explain, is) = match fits {
+                1 => ("explains", "is"),
+                _ => ("explain", "are"),
+            };
+            let come_to = match verdict {
+                Verdict::Explains => format!("{explain} the images"),
+                Verdict::Reservations => {
+                    format!("{explain} the images with reservations: look at the reasons")
+                }
+                Verdict::NotToBeTrusted => format!("{is} not to be trusted"),
+            };
+            format!("{} {come_to}", plural(fits, "fit"))
+        });
+        let others = [(self.failed, "failed"), (self.open, "to be done")];
+        let others = others.into_iter().filter(|(jobs, _)| *jobs > 0);
+        let others = others.map(|(jobs, what)| format!("{} {what}", plural(jobs, "job")));
+        of_fits.chain(others).collect()
+    }
+}
+
 impl Batch {
     /// Writes `table.csv`, `table.json`, `times.csv` and `index.html` of the jobs as they
     /// stand. The tables depend on the jobs alone: not on who did them, when, in which order and
