@@ -104,12 +104,12 @@ impl Products {
 
 widened! {
     /// Lower triangle of `matrix += Σ left rightᵀ`, term by term, P products to a term.
+    #[allow(clippy::needless_range_loop, reason = "closures would not be compiled for AVX2")]
     fn add<const P: usize>(matrix: &mut [f64], left: [&[f64]; P], right: [&[f64]; P]) {
         let n = left[0].len() / AT_ONCE;
         for j in 0..n {
             let column = &mut matrix[j * n + j..(j + 1) * n];
             let rows = column.len();
-            // Loops: closures would not be compiled for AVX2.
             let mut scales = [[0.0; AT_ONCE]; P];
             let mut vectors = [[&[][..]; AT_ONCE]; P];
             for p in 0..P {

@@ -124,6 +124,7 @@ fn in_lanes(values: &[f32]) -> Vec<[f32; LANES]> {
 
 widened! {
     /// With room for `N` factors.
+    #[allow(clippy::needless_range_loop, reason = "closures would not be compiled for AVX2")]
     fn eval<const N: usize>(of: &Evaluator, at: &Cosines<f32>, values: &mut [f32]) {
         let (mut first, mut second) = ([0.0f32; N], [1.0f32; N]);
         let (lobes, others) = first.split_at_mut(LANES * of.ggx.len());
