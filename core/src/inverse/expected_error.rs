@@ -1,12 +1,13 @@
 //! How well images would tell a material: the environment error that they are expected to leave.
 //!
 //! Unknown is ln f at the nodes of the discrepancy's table ([`crate::brdf::discrepancy`]). A priori
-//! it is Gaussian: it varies as the embedded measured materials do. A light's image adds the Fisher information
-//! Jᵀ W J about it, with J the derivatives of the image around a plausible material, from the same
-//! paths and with the same weights W as in a fit, at a coarse resolution. The posterior
-//! covariance C leaves the environment error √tr(E C), with E the error's curvature
-//! ([`crate::brdf::error_curvature`]); of several materials the geometric mean counts. No mixture enters: inside the span of a dictionary,
-//! grazing f follows from the rest, and every bench would do (docs/adr/0017).
+//! it is Gaussian about a plausible material, and varies as measured materials depart from their
+//! mixtures. A light's image adds the Fisher information Jᵀ W J about it, with J the derivatives of
+//! the image by the same paths and with the same weights W as in a fit, at a coarse resolution. The
+//! posterior covariance C leaves the environment error √tr(E C), with E the error's curvature
+//! ([`crate::brdf::error_curvature`]); of several materials the geometric mean counts. The weights
+//! of a mixture are no unknowns: inside the span of a dictionary grazing f follows from the rest,
+//! and every bench would do (docs/adr/0017).
 
 use std::sync::Arc;
 
@@ -93,7 +94,7 @@ pub struct Subject {
     pub name: String,
     /// ln (π f) at the nodes.
     ln_f: Discrepancy,
-    /// How ln f varies a priori.
+    /// How ln f varies about it a priori.
     prior: Arc<Prior>,
     /// E along the prior's modes.
     curvature: DMatrix<f64>,
@@ -126,7 +127,7 @@ impl Subject {
     /// that is not in [`crate::brdf::nbrdf::NAMES`].
     pub fn embedded(name: &str) -> Option<Self> {
         let material = NeuralBrdf::named(name)?;
-        let prior = Prior::of_materials_without(&[name.to_owned()]);
+        let prior = Prior::without(&[name.to_owned()]);
         Some(Self::new(name, &material, 1, prior))
     }
 }

@@ -31,9 +31,6 @@ const LARGEST_DEPARTURE: f64 = 3.0;
 /// count as different.
 const NEAR_DUPLICATE: f64 = 0.15;
 
-/// Standard deviation of ln f at all angles alike beyond that of the embedded materials.
-const BRIGHTNESS_DEVIATION: f64 = 0.3;
-
 /// A Gaussian prior of discrepancies.
 pub struct Prior {
     modes: DMatrix<f64>,
@@ -41,20 +38,10 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// Of departures, learned from all embedded materials but those named and their near duplicates:
-    /// those whose ln f differs from theirs by less than 0.15, root mean square over the nodes.
+    /// Learned from all embedded materials but those named and their near duplicates: those whose
+    /// ln f differs from theirs by less than 0.15, root mean square over the nodes.
     pub fn without(left_out: &[String]) -> Arc<Self> {
-        Self::known(Quantity::Departure, left_out)
-    }
-
-    /// Likewise of ln f itself, about the mean of the materials.
-    pub fn of_materials_without(left_out: &[String]) -> Arc<Self> {
-        Self::known(Quantity::LnF, left_out)
-    }
-
-    fn known(of: Quantity, left_out: &[String]) -> Arc<Self> {
-        type Known = HashMap<(Quantity, Vec<String>), Arc<Prior>>;
-        static KNOWN: OnceLock<Mutex<Known>> = OnceLock::new();
+        static KNOWN: OnceLock<Mutex<HashMap<Vec<String>, Arc<Prior>>>> = OnceLock::new();
         let learned = departures();
         let is_named = |of: &&Learned| left_out.iter().any(|name| name == of.name);
         let named: Vec<&Learned> = learned.iter().filter(is_named).collect();
@@ -63,21 +50,35 @@ impl Prior {
         let left_out: Vec<String> = like.map(|of| of.name.to_owned()).collect();
         let known = KNOWN.get_or_init(Mutex::default);
         let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
-        let learn = || {
-            let factor = match of {
-                Quantity::Departure => departure_factor(&left_out),
-                Quantity::LnF => ln_f_factor(&left_out),
-            };
-            let (modes, left_out) = (principal(&factor), left_out.clone());
-            Arc::new(Self { modes, left_out })
-        };
-        let key = (of, left_out.clone());
-        known.entry(key).or_insert_with(learn).clone()
+        let learn = || Arc::new(Self::learned(left_out.clone()));
+        known.entry(left_out.clone()).or_insert_with(learn).clone()
+    }
+
+    fn learned(left_out: Vec<String>) -> Self {
+        let learned = departures().iter();
+        let learned = learned.filter(|of| !left_out.iter().any(|name| name == of.name));
+        let columns: Vec<&DVector<f64>> = learned.flat_map(|of| &of.departure).collect();
+        let scale = 1.0 / (columns.len().max(1) as f64).sqrt();
+        let mut factor: Vec<DVector<f64>> = columns.iter().map(|&c| c * scale).collect();
+        factor.extend(smooth_factor());
+        let mut factor = DMatrix::from_columns(&factor);
+        // A factor common to all angles is left to the weights.
+        let common = DVector::from_iterator(VALUES, {
+            let inner = |n: Node| n.theta_h_deg < 70.0 && n.theta_d_deg < 72.0;
+            let even = nodes().map(move |n| f64::from(u8::from(inner(n))));
+            even.chain(std::iter::repeat_n(0.0, NODES))
+        });
+        let along = factor.tr_mul(&common);
+        let weighted = &factor * &along / along.norm_squared().max(f64::MIN_POSITIVE);
+        factor -= weighted * along.transpose();
+        Self {
+            modes: principal(&factor),
+            left_out,
+        }
     }
 
     /// Columns of values at the nodes, to be multiplied by independent standard normal
-    /// coefficients. Of departures a factor common to all angles is projected out: the weights
-    /// have it.
+    /// coefficients. A factor common to all angles is projected out: the weights have it.
     pub fn modes(&self) -> &DMatrix<f64> {
         &self.modes
     }
@@ -93,55 +94,6 @@ impl Prior {
     pub fn left_out(&self) -> &[String] {
         &self.left_out
     }
-}
-
-/// What a prior is about.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-enum Quantity {
-    Departure,
-    LnF,
-}
-
-/// A with A Aᵀ the covariance of departures.
-fn departure_factor(left_out: &[String]) -> DMatrix<f64> {
-    let columns: Vec<&DVector<f64>> = learned_from(left_out)
-        .flat_map(|of| &of.departure)
-        .collect();
-    let scale = 1.0 / (columns.len().max(1) as f64).sqrt();
-    let mut factor: Vec<DVector<f64>> = columns.iter().map(|&c| c * scale).collect();
-    factor.extend(smooth_factor());
-    let mut factor = DMatrix::from_columns(&factor);
-    // A factor common to all angles is left to the weights.
-    let common = DVector::from_iterator(VALUES, {
-        let inner = |n: Node| n.theta_h_deg < 70.0 && n.theta_d_deg < 72.0;
-        let even = nodes().map(move |n| f64::from(u8::from(inner(n))));
-        even.chain(std::iter::repeat_n(0.0, NODES))
-    });
-    let along = factor.tr_mul(&common);
-    let weighted = &factor * &along / along.norm_squared().max(f64::MIN_POSITIVE);
-    factor -= weighted * along.transpose();
-    factor
-}
-
-/// A with A Aᵀ the covariance of ln f about the mean of the materials, whose brightness is open.
-fn ln_f_factor(left_out: &[String]) -> DMatrix<f64> {
-    let columns: Vec<&DVector<f64>> = learned_from(left_out)
-        .flat_map(|of| of.ln_f.each_ref().map(|ln_f| &ln_f.0))
-        .collect();
-    let count = columns.len().max(2) as f64;
-    let none = DVector::zeros(VALUES);
-    let mean = columns.iter().fold(none, |sum, &c| sum + c) / count;
-    let scale = 1.0 / (count - 1.0).sqrt();
-    let mut factor: Vec<DVector<f64>> = columns.iter().map(|&c| (c - &mean) * scale).collect();
-    factor.extend(smooth_factor());
-    let even = |k: usize, _| if k < NODES { BRIGHTNESS_DEVIATION } else { 0.0 };
-    factor.push(DVector::from_fn(VALUES, even));
-    DMatrix::from_columns(&factor)
-}
-
-fn learned_from(left_out: &[String]) -> impl Iterator<Item = &'static Learned> {
-    let is_kept = |of: &&Learned| !left_out.iter().any(|name| name == of.name);
-    departures().iter().filter(is_kept)
 }
 
 /// What is learned of one material.

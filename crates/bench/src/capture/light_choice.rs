@@ -121,7 +121,7 @@ pub fn next(
     notice(Notice::Comparing {
         directions: candidates.len(),
     });
-    let prior = Prior::of_materials_without(&[]);
+    let prior = Prior::without(&[]);
     let fitted = (0..3).map(|channel| Subject::new("fitted", &*material, channel, prior.clone()));
     let fitted: Vec<Arc<Subject>> = fitted.map(Arc::new).collect();
     let scene = coarse(config.geometry.scene(&candidates)?);
