@@ -19,7 +19,8 @@ use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
 use crate::config::ResolvedRig;
 use crate::interrupt::{Interrupt, Signal};
 use crate::queue::{
-    Answer, Entry, Fitted, Question, Queue, RunState, Sample, Worker, carry_out, overview,
+    Answer, Entry, Fitted, Question, Queue, RunState, Sample, Unreadable, Worker, carry_out,
+    overview,
 };
 use crate::shown::{escaped, with_causes};
 
@@ -335,7 +336,7 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
     let mut table = Table::new(&["sample", " run", "state", "session"]);
     for line in overview::lines(queue) {
         let run = line.run.map_or_else(String::new, |run| run.to_string());
-        table.row([line.sample, run, escaped(&line.state), line.session]);
+        table.row([line.sample, run, line.state, line.session]);
     }
     table.print()
 }

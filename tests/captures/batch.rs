@@ -233,11 +233,7 @@ echo 7
     let output = command.args(["-c", line]).current_dir(folder).output();
     assert_done(&output.unwrap());
     let said = fs::read_to_string(folder.path().join("said")).unwrap();
-    for part in [
-        "2 jobs done before",
-        "job 2 failed",
-        "1 of 3 jobs failed",
-    ] {
+    for part in ["2 jobs done before", "job 2 failed", "1 of 3 jobs failed"] {
         assert!(said.contains(part), "{part} in\n{said}");
     }
     let output = batch(folder, "slurm out --tasks 1001");
