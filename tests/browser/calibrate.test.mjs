@@ -42,7 +42,7 @@ test("the sensor and the lens are calibrated by the page alone", async () => {
   // By a target.
   await page.evaluate(() => (location.hash = "#calibrate/camera"));
   await press(page, "#put-target");
-  for (const step of ["Show the live picture", "Home the stage", "Lamp on"]) {
+  for (const step of ["Show the live picture", "Home the stage", "Aim the light", "Lamp on"]) {
     await until(page, step, (wanted) => document.querySelector("#guide-light").innerText === wanted && !document.querySelector("#guide-light").disabled, step);
     await press(page, "#guide-light");
   }

@@ -223,7 +223,7 @@ impl Prospects {
                 information,
             } in &mut materials
             {
-                let material = Material::new(mixture.clone(), &[subject.ln_f.clone()]);
+                let material = Material::new(mixture.clone(), std::slice::from_ref(&subject.ln_f));
                 let prior = &subject.prior;
                 let model =
                     DiscrepancyModel::of_compared(&plain, &scene, &material, prior, options.seed);

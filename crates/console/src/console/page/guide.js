@@ -90,6 +90,11 @@ function busy() {
   return blocked() ?? (working() ? "A job is running." : null);
 }
 
+/** Whether the stage stands where its lamp shines past the target, as after homing. */
+function isLow() {
+  return state.bench?.stage?.position?.elevation_deg < 15;
+}
+
 /** How the target is placed, and whether it is. */
 function placePart(live, current) {
   const steps = h("div", { class: "stack" });
@@ -105,6 +110,10 @@ function placePart(live, current) {
     automatic(true);
     if (!state.bench?.connected) return attempt("api/bench/connect");
     if (state.bench.stage?.position === null) return attempt("api/bench/home");
+    if (isLow()) {
+      const [azimuth_deg, elevation_deg] = /^(-?[\d.]+),(-?[\d.]+)$/.exec(current().lights)?.slice(1).map(Number) ?? [0, 45];
+      return attempt("api/bench/move", { azimuth_deg, elevation_deg });
+    }
     attempt("api/bench/lamp", { channel: state.bench.stage?.lamp === null ? 0 : null });
   });
   check.addEventListener("click", async () => {
@@ -130,7 +139,7 @@ function placePart(live, current) {
     const idle = busy() ?? (bench?.busy ? "The bench is busy." : null);
     const hasLamp = rig?.has_stage !== false;
     connect.hidden = Boolean(bench?.connected) && !hasLamp;
-    say(connect, !bench?.connected ? "Show the live picture" : bench.stage?.position === null ? "Home the stage" : bench.stage?.lamp === null ? "Lamp on" : "Lamp off");
+    say(connect, !bench?.connected ? "Show the live picture" : bench.stage?.position === null ? "Home the stage" : isLow() ? "Aim the light" : bench.stage?.lamp === null ? "Lamp on" : "Lamp off");
     check.hidden = !guide.can_check;
     say(failed, bench?.error ? `${capital(bench.error.error)}${bench.error.hint ? ` – ${bench.error.hint}` : ""}` : "");
     gate(put, busy());
