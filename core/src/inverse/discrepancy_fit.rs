@@ -29,10 +29,6 @@ use normal::Joint;
 /// say: they are linear in it, and far from where they were formed the images are not.
 const NOISE_INFLATION: f64 = 2.0;
 
-/// Largest amplitude: twice what measured materials have on average. Images that are not linear ask
-/// for more, and what they then get is not near enough to be linear around.
-const MAX_AMPLITUDE: f64 = 2.0;
-
 /// Mean square of the modes over their variance a priori up to which they count as found: a sum of
 /// some forty squares of standard normal numbers exceeds twice its mean once in 10⁴ times.
 const MAX_MEAN_SQUARE: f64 = 2.0;
@@ -102,7 +98,7 @@ impl Eliminated {
             })
             .collect();
         normal::blocks_after(at, &fitted, &free, &mut joint);
-        let amplitude = amplitude(&joint, at.mixture).min(MAX_AMPLITUDE);
+        let amplitude = amplitude(&joint, at.mixture);
         log::debug!("amplitude of the model discrepancy: {amplitude}");
         if amplitude == 0.0 {
             return Vec::new();

@@ -9,6 +9,10 @@ use crate::inverse::normal_equations::{IN_USE, MIN_SCATTER, Marginal, scatter};
 /// strong evidence.
 const MIN_LOG_EVIDENCE: f64 = 3.0;
 
+/// Largest amplitude, in units of that of measured materials. Images that are not linear ask for
+/// more, and what they then get is not near enough to be linear around.
+const MAX_AMPLITUDE: f64 = 1.25;
+
 /// The amplitude of most evidence (empirical Bayes), all groups together, with the weights in
 /// use free to follow the discrepancy; 0 where little is gained by any.
 pub(super) fn amplitude(joint: &[Joint], mixture: &[DVector<f64>]) -> f64 {
@@ -57,7 +61,8 @@ pub(super) fn amplitude(joint: &[Joint], mixture: &[DVector<f64>]) -> f64 {
         });
         gains.sum()
     };
-    let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
+    let candidates = (0..).map(|k| 0.05 * 1.15f64.powi(k));
+    let candidates = candidates.take_while(|&amplitude| amplitude <= MAX_AMPLITUDE);
     let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
     best.filter(|&amplitude| gain(amplitude) > MIN_LOG_EVIDENCE)
         .unwrap_or(0.0)
