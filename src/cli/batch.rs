@@ -271,7 +271,7 @@ const AFTER_FAILURE: &str =
 fn busy_error(busy: &[usize]) -> CliError {
     let numbers: Vec<String> = busy.iter().map(usize::to_string).collect();
     let fact = format!(
-        "other processes are at work on the sessions of these jobs: {}",
+        "another process is at work on the session of job {}",
         numbers.join(", ")
     );
     CliError::new(fact).hint(
