@@ -272,8 +272,11 @@ enum Outcome {
     Error(fn(&DeviceError) -> bool),
 }
 
-/// Faults of the body, by their names in docs/faults.md.
-const FAULTS: [(&str, fn(&mut Faults), During, Outcome); 7] = [
+/// A fault by its name in docs/faults.md, when it happens and what comes of it.
+type Fault = (&'static str, fn(&mut Faults), During, Outcome);
+
+/// Faults of the body.
+const FAULTS: [Fault; 7] = [
     (
         "the body is busy",
         |body| body.busy = 2,

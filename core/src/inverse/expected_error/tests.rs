@@ -12,9 +12,12 @@ const VALUES: usize = 9;
 const MODES: usize = 5;
 const IMAGE: usize = 2;
 
-/// Random materials and images: the prospects, and for each material modes, metric of the values and the
-/// images' derivatives by them, in units of their noise.
-fn synthetic(candidates: usize) -> (Prospects, Vec<[DMatrix<f64>; 2]>, Vec<Vec<DMatrix<f64>>>) {
+/// For each material its modes and the metric of the values.
+type Parts = Vec<[DMatrix<f64>; 2]>;
+
+/// Random materials and images: the prospects, their parts, and for each material the images'
+/// derivatives by the values, in units of their noise.
+fn synthetic(candidates: usize) -> (Prospects, Parts, Vec<Vec<DMatrix<f64>>>) {
     let mut numbers = stream(4, Purpose::Experiment, 0, 0, 0);
     let mut matrix = |rows, columns| DMatrix::from_fn(rows, columns, |_, _| numbers.normal());
     let (mut parts, mut images) = (Vec::new(), Vec::new());

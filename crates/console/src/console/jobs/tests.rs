@@ -116,7 +116,8 @@ fn a_question_is_answered_or_given_up() {
     let script = r#"trap '' INT
         echo '{"event":"asked","at":"t","number":3,"do":"cover"}'
         read answer; echo "$answer" >&2"#;
-    let acts: [(fn(&Jobs), bool); 2] = [
+    type Act = fn(&Jobs);
+    let acts: [(Act, bool); 2] = [
         (
             |jobs| assert!(!jobs.answer(2, true) && jobs.answer(3, true)),
             true,
