@@ -119,7 +119,7 @@ impl Profile {
         let scaled = |by: f64| Self {
             knots: self.knots.map(|knot| knot.map(|v| by * v)),
         };
-        let tries = (0..60).map(|k| scaled(0.95f64.powi(k)));
+        let tries = (0..200).map(|k| scaled(0.95f64.powi(k)));
         let found = tries.into_iter().find(|p| p.keeps(limits, tilt_deg));
         found.unwrap_or_else(|| scaled(0.0))
     }
@@ -149,7 +149,12 @@ mod tests {
         let steep = Profile::through(&[3.0, 1.0, -1.0, 1.0, -2.0]);
         assert!(!steep.keeps(&limits, 30.0));
         let kept = steep.flattened(&limits, 30.0);
-        assert!(kept.keeps(&limits, 30.0) && kept.steepest_deg() > 30.0);
+        // No flatter than it must be.
+        let steeper = Profile {
+            knots: kept.knots.map(|knot| knot.map(|v| v / 0.95)),
+        };
+        assert!(kept.keeps(&limits, 30.0) && !steeper.keeps(&limits, 30.0));
+        assert!(kept.steepest_deg() > 5.0, "{}", kept.steepest_deg());
         // A flat sample at 60° is 2 sin 60° radii deep.
         let flat = Profile::through(&[0.0; HEIGHTS]);
         assert!((flat.depth(60.0) - 2.0 * 60f64.to_radians().sin()).abs() < 1e-9);
