@@ -58,5 +58,6 @@ test("the sensor and the lens are calibrated by the page alone", async () => {
   await until(page, "the list is shown", () => location.hash === "#calibrate");
   assert.equal((await records("camera")).length, 1);
   await access(path.join(place.folder, "calibration/rehearsal/plots", (await records("camera"))[0].replace("toml", "png")));
-  assert.deepEqual(page.complaints, []);
+  // Each change of the bench ends the stream of events, which the browser says.
+  assert.deepEqual(page.complaints.filter((one) => !one.includes("ERR_INCOMPLETE_CHUNKED_ENCODING")), []);
 });
