@@ -16,8 +16,8 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
     let radius_mm = request.limits.radius_mm;
     let at = |r: f64, z: f64| [MIDDLE[0] + SCALE * r, MIDDLE[1] - SCALE * z];
     let mut text = String::from(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 960 640\" font-family=\"sans-serif\" font-size=\"14\">\n\
-         <rect width=\"960\" height=\"640\" fill=\"white\"/>\n",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 960 670\" font-family=\"sans-serif\" font-size=\"14\">\n\
+         <rect width=\"960\" height=\"670\" fill=\"white\"/>\n",
     );
     let line = |[x1, y1]: [f64; 2], [x2, y2]: [f64; 2], style: &str| {
         format!("<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" {style}/>\n")
@@ -51,7 +51,7 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
         let r = k as f64 / (KNOTS - 1) as f64;
         let z = profile.at(r)[0];
         text += &line(at(r, 0.0), at(r, z), thin);
-        let words = format!("r {:.2}, z {:+.2}", r * radius_mm, z * radius_mm);
+        let words = format!("{}: r {:.2}, z {:+.2}", k + 1, r * radius_mm, z * radius_mm);
         text += &label(
             [MIDDLE[0] + 330.0, 460.0 + 18.0 * k as f64],
             "start",
@@ -70,7 +70,7 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
         profile.steepest_deg(),
         profile.tightest() * radius_mm
     );
-    text += &label([20.0, 625.0], "start", &facts);
+    text += &label([20.0, 655.0], "start", &facts);
 
     // Camera and lamps, in the plane of the drawing at their elevation.
     let mut ray = |elevation_deg: f64, side: f64, color: &str, words: &str| {
