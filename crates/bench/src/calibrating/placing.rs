@@ -89,12 +89,7 @@ pub fn placing(target: &Target, image: &Grey, geometry: &GeometryConfig) -> Plac
         return wrong("the live picture is dark: give it light, or a longer exposure");
     }
     let (camera, _) = described(geometry, [image.width, image.height]);
-    let all = Region {
-        x: 0,
-        y: 0,
-        width: image.width,
-        height: image.height,
-    };
+    let all = Region::whole([image.width, image.height]);
     match target {
         Target::EvenLight => even(image, all, LEAST_EVENNESS, "the light"),
         Target::Standard(region) => {
@@ -180,13 +175,9 @@ fn mean_in(image: &Grey, region: Region) -> f64 {
     pixels.map(|pixel| image.value[pixel]).sum::<f64>() / (region.width * region.height) as f64
 }
 
+/// Whether a region has pixels, all of them in the image.
 fn is_inside(image: &Grey, region: Region) -> bool {
-    let ends = [
-        (region.x, region.width, image.width),
-        (region.y, region.height, image.height),
-    ];
-    ends.iter()
-        .all(|&(from, size, of)| size > 0 && from.saturating_add(size) <= of)
+    region.width.min(region.height) > 0 && region.is_inside([image.width, image.height])
 }
 
 /// Compares the means of blocks.

@@ -246,17 +246,13 @@ fn trap_pixels(
 ) -> Result<Vec<Pixel>, GlareError> {
     let mut pixels = Vec::new();
     for &region in traps {
-        let (columns, rows) = (
-            region.x..region.x.saturating_add(region.width),
-            region.y..region.y.saturating_add(region.height),
-        );
-        let refused = GlareError::Region {
-            region,
-            size: [image.width, image.height],
-        };
-        if columns.end > image.width || rows.end > image.height {
+        let size = [image.width, image.height];
+        let refused = GlareError::Region { region, size };
+        if !region.is_inside(size) {
             return Err(refused);
         }
+        let columns = region.x..region.x + region.width;
+        let rows = region.y..region.y + region.height;
         let all = rows.flat_map(|y| columns.clone().map(move |x| [x, y]));
         let valid = all.filter(|[x, y]| image.valid[y * image.width + x]);
         let mut of_trap: Vec<Pixel> = valid

@@ -37,6 +37,18 @@ pub struct Region {
     pub height: usize,
 }
 
+impl Region {
+    /// All of an image of this width and height.
+    pub fn whole([width, height]: [usize; 2]) -> Self {
+        Self::from([0, 0, width, height])
+    }
+
+    /// Whether no part of it is outside an image of this width and height.
+    pub fn is_inside(self, [width, height]: [usize; 2]) -> bool {
+        self.x.saturating_add(self.width) <= width && self.y.saturating_add(self.height) <= height
+    }
+}
+
 impl From<[usize; 4]> for Region {
     /// By first column, first row, columns and rows.
     fn from([x, y, width, height]: [usize; 4]) -> Self {
@@ -164,9 +176,8 @@ fn quarters(image: &RadianceImage, region: Region) -> Result<[Quarter; 4], White
     );
     let width = region.width.saturating_sub(2 * margin(region.width));
     let height = region.height.saturating_sub(2 * margin(region.height));
-    let inside = region.x.saturating_add(region.width) <= image.width
-        && region.y.saturating_add(region.height) <= image.height;
-    if !inside || width * height < MIN_PIXELS || width < 2 || height < 2 {
+    let is_inside = region.is_inside([image.width, image.height]);
+    if !is_inside || width * height < MIN_PIXELS || width < 2 || height < 2 {
         return Err(WhiteError::Region {
             x: region.x,
             y: region.y,

@@ -83,15 +83,9 @@ pub fn locate(
             camera,
         });
     }
-    let region = region.unwrap_or(Region {
-        x: 0,
-        y: 0,
-        width: grey.width,
-        height: grey.height,
-    });
-    let inside = region.x.saturating_add(region.width) <= grey.width
-        && region.y.saturating_add(region.height) <= grey.height;
-    if !inside || region.width.min(region.height) < LEAST_SIDE_PX {
+    let size = [grey.width, grey.height];
+    let region = region.unwrap_or_else(|| Region::whole(size));
+    if !region.is_inside(size) || region.width.min(region.height) < LEAST_SIDE_PX {
         return Err(EdgeError::Region { image, region });
     }
     // The line, and the pixels near it.
