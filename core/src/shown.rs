@@ -4,6 +4,16 @@
 use std::borrow::Cow;
 use std::error::Error;
 
+/// A number of things, as `1 job` or `3 jobs`.
+///
+/// ```
+/// use rig_core::shown::count;
+/// assert_eq!([count(1, "job"), count(3, "job")], ["1 job", "3 jobs"]);
+/// ```
+pub fn count(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// A thing of this index as people read it, who count from 1 where data count from 0:
 /// `nth("light", 2)` is "light 3".
 pub fn nth(what: &str, index: impl TryInto<usize>) -> String {

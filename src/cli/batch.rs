@@ -13,6 +13,7 @@ use crate::batch::{
 };
 use crate::cluster::Shard;
 use crate::session::fit_record::Verdict;
+use crate::shown::count;
 use crate::workflow::FitRequest;
 
 /// Fits and reports many sessions: one table, one page.
@@ -339,10 +340,6 @@ fn check_verdicts(found: &[(Verdict, usize)], fail_on: Option<FailOn>) -> Result
         if bad == 1 { "has" } else { "have" }
     );
     Err(CliError::new(fact).hint("table.csv has each fit's verdict and reason"))
-}
-
-fn count(n: usize, what: &str) -> String {
-    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
 fn is_are(n: usize) -> &'static str {

@@ -83,8 +83,8 @@ pub struct ReproducibilityRow {
 pub enum ReproducibilityError {
     /// A standard deviation needs two values.
     #[error(
-        "sample {sample:?} has {count} session{} with a trusted fit and an error budget; a spread needs 2 at least",
-        if *count == 1 { "" } else { "s" }
+        "sample {sample:?} has {} with a trusted fit and an error budget; a spread needs 2 at least",
+        crate::shown::count(*count, "session")
     )]
     TooFew { sample: String, count: usize },
     /// Nothing can be compared.

@@ -7,6 +7,7 @@ use super::row::{Found, Status, row};
 use super::{Batch, BatchError, Job, page};
 use crate::result_table::{Row, Table};
 use crate::session::fit_record::Verdict;
+use crate::shown::count;
 
 /// What the records of a batch come to.
 #[derive(Debug)]
@@ -28,10 +29,6 @@ pub struct Collected {
 impl Collected {
     /// How many jobs came to what, a line each.
     pub fn lines(&self) -> Vec<String> {
-        let plural = |n: usize, what: &str| match n {
-            1 => format!("1 {what}"),
-            n => format!("{n} {what}s"),
-        };
         let of_fits = self.verdicts.iter().map(|&(verdict, fits)| {
             let (explain, is) = match fits {
                 1 => ("explains", "is"),
@@ -44,11 +41,11 @@ impl Collected {
                 }
                 Verdict::NotToBeTrusted => format!("{is} not to be trusted"),
             };
-            format!("{} {come_to}", plural(fits, "fit"))
+            format!("{} {come_to}", count(fits, "fit"))
         });
         let others = [(self.failed, "failed"), (self.open, "to be done")];
         let others = others.into_iter().filter(|(jobs, _)| *jobs > 0);
-        let others = others.map(|(jobs, what)| format!("{} {what}", plural(jobs, "job")));
+        let others = others.map(|(jobs, what)| format!("{} {what}", count(jobs, "job")));
         of_fits.chain(others).collect()
     }
 }
