@@ -432,15 +432,15 @@ impl<'a> Search<'a> {
         };
         let [took_part, held_out] = [&self.subjects, &self.held_out]
             .map(|subjects| Prospects::new(place(&chosen), subjects, &again));
-        let (took_part, held_out) = (took_part?, held_out?);
-        let mut materials = took_part.by_material(&all);
-        materials.extend(held_out.by_material(&all));
+        let [mut materials, held_out] = [took_part?, held_out?].map(|of| of.by_material(&all));
+        let (error, error_held_out) = (geometric_mean(&materials), geometric_mean(&held_out));
+        materials.extend(held_out);
         Ok(Design {
             name: name.to_owned(),
             camera_tilt_deg: tilt_deg,
             lights: chosen,
-            error: took_part.error(&all),
-            error_held_out: held_out.error(&all),
+            error,
+            error_held_out,
             materials,
         })
     }
