@@ -62,7 +62,7 @@ impl Default for PredictionOptions {
     }
 }
 
-/// Limits of the bands of difference angles by which an error is told, degrees.
+/// Limits of the bands of difference angles for which an error is stated separately, degrees.
 pub const BANDS_DEG: [f64; BANDS + 1] = [0.0, 22.0, 42.0, 57.0, 72.0, 90.0];
 /// Their number.
 pub const BANDS: usize = 5;

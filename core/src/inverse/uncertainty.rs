@@ -66,8 +66,8 @@ pub struct Adds<'a> {
     pub discrepancy: &'a [Eliminated],
 }
 
-/// Draws `count` weights for each channel group around `mixture`; none of the prior
-/// ([`draw_prior`]).
+/// Draws `count` weights from the posterior of each channel group, around `mixture`;
+/// [`draw_prior`] adds those of the prior.
 pub fn draw(
     dictionary: &Dictionary,
     mixture: &[DVector<f64>],

@@ -208,7 +208,7 @@ async fn list(State(guides): State<Guides>) -> Result<Json<Value>, Refusal> {
 }
 
 #[derive(Deserialize)]
-struct Told {
+struct Check {
     kind: String,
     #[serde(default)]
     values: Values,
@@ -216,7 +216,7 @@ struct Told {
 
 async fn check(
     State(guides): State<Guides>,
-    Asked(form): Asked<Told>,
+    Asked(form): Asked<Check>,
 ) -> Result<Json<Value>, Refusal> {
     let guide = known(&form.kind)?;
     let target = target(guide, &stated(guide, &form.values)?);
@@ -396,7 +396,7 @@ async fn figure(State(guides): State<Guides>) -> Result<Response, Refusal> {
 mod tests {
     use super::*;
 
-    fn told(kind: &str, values: &[(&str, &str)]) -> Result<Vec<String>, String> {
+    fn options_of(kind: &str, values: &[(&str, &str)]) -> Result<Vec<String>, String> {
         let values = values
             .iter()
             .map(|(key, text)| ((*key).to_owned(), (*text).to_owned()));
@@ -411,7 +411,7 @@ mod tests {
     /// What a page states becomes values of options, and nothing else.
     #[test]
     fn values_are_checked_before_they_become_options() {
-        let good = told(
+        let good = options_of(
             "focus",
             &[("heights", "-8,-4"), ("region", "1,2,30,40  5,6,70,80")],
         );
@@ -423,7 +423,7 @@ mod tests {
                 "--region=5,6,70,80"
             ]
         );
-        assert_eq!(told("sensor", &[]).unwrap(), Vec::<String>::new());
+        assert_eq!(options_of("sensor", &[]).unwrap(), Vec::<String>::new());
         for (kind, key, text, says) in [
             ("lights", "radius", "", "must be stated"),
             ("lights", "radius", "0", "must be a number from"),
@@ -434,7 +434,7 @@ mod tests {
             ("white", "out", "/tmp", "is told no \"out\""),
             ("sensor", "frames", "2", "is told no \"frames\""),
         ] {
-            let error = told(kind, &[(key, text)]).unwrap_err();
+            let error = options_of(kind, &[(key, text)]).unwrap_err();
             assert!(error.contains(says), "{kind} {key}: {error}");
         }
         let words = |text: &str| lights(text).map_err(|refusal| refusal.error);
