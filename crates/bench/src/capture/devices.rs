@@ -8,6 +8,7 @@ use super::CaptureError;
 use super::spent::{Spent, Stopwatch};
 use super::worker::Worker;
 use crate::device::guardian::Watchdog;
+use crate::device::manual;
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
@@ -20,7 +21,7 @@ use crate::units::{Seconds, StageAngles};
 const POLL: Duration = Duration::from_millis(20);
 /// How often a lost camera is looked for.
 const RETURN_POLL: Seconds = Seconds(0.5);
-/// What a driver's reply may still take once a stop was requested.
+/// What a driver's reply may still take once a stop was requested; a person is not waited for.
 const REPLY_GRACE: Duration = Duration::from_secs(1);
 /// How long a stage's driver may take to notice that it was stopped.
 const LET_GO: Duration = Duration::from_secs(2);
@@ -218,7 +219,11 @@ impl Devices {
         &mut self,
         job: impl FnOnce(&mut dyn LightStage) -> Result<T, DeviceError> + Send + 'static,
     ) -> Result<T, CaptureError> {
-        self.stage_within(REPLY_GRACE, job).await
+        let grace = match self.stage_info.driver == manual::DRIVER {
+            true => Duration::ZERO,
+            false => REPLY_GRACE,
+        };
+        self.stage_within(grace, job).await
     }
 
     /// A command to the stage that may take this long after a stop was requested.

@@ -80,6 +80,8 @@ pub struct ManualStage {
     stops_seen: u64,
 }
 
+/// What its [`StageInfo`] calls the driver.
+pub const DRIVER: &str = "manual";
 /// What errors call it.
 const NAME: &str = "the manual stage";
 
@@ -90,7 +92,7 @@ impl ManualStage {
             config,
             operator,
             info: StageInfo {
-                driver: "manual".to_owned(),
+                driver: DRIVER.to_owned(),
                 firmware: "by hand (unverified)".to_owned(),
                 port: NAME.to_owned(),
                 has_watchdog: false,

@@ -512,16 +512,13 @@ impl Jobs {
         self.pass_on(&[Signal::INT]);
     }
 
-    /// Passes on that it is to end; one that is paused goes on, so that it can, and one that
-    /// waits for the person at the bench waits no longer.
+    /// Passes on that it is to end; one that is paused goes on, so that it can. One that asks
+    /// the person at the bench waits no longer by itself: a "not done" from here might reach it
+    /// before the signal does, and be a failure.
     pub fn pass_on(&self, signals: &[Signal]) {
         self.set_ending();
         self.send(signals);
         self.wake();
-        let asked = locked(&self.0.shown).job.asked;
-        if let Some(asked) = asked {
-            self.answer(asked.number, false);
-        }
     }
 
     /// Stops it now, as a second Ctrl-C does. Two signals of one kind at once may arrive as
