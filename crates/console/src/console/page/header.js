@@ -72,7 +72,7 @@ function showRig() {
   if (!rig) return;
   // Another console answers at this address, or another bench: the page begins anew.
   since ??= state.console.since;
-  if (since !== state.console.since) location.reload();
+  if (since !== state.console.since) return location.reload();
   say(by("rig-name"), rig.name);
   by("simulated").hidden = !rig.simulated;
   showTitle();

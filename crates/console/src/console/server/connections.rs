@@ -46,8 +46,11 @@ const HEAD_PATIENCE: Duration = Duration::from_secs(5);
 const LONGEST_HEAD: usize = 16 << 10;
 /// A reader that takes nothing for so long is cut off.
 const WRITE_PATIENCE: Duration = Duration::from_secs(20);
-/// What a refused client still sends is read for so long, so that it gets its answer.
+/// What a refused client still sends is read for so long, so that it gets its answer; a server
+/// that ends waits so long for its answers.
 const LINGER: Duration = Duration::from_secs(1);
+/// How often a server that ends looks whether all is answered.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// What connections share.
 #[derive(Clone, Debug)]
@@ -72,6 +75,22 @@ impl Inside {
             places: Arc::new(Semaphore::new(MOST_PLACES)),
             places_of_stops: Arc::new(Semaphore::new(MOST_STOPS)),
         }
+    }
+
+    /// Waits until every request that was admitted is answered, but not for long.
+    pub async fn answered(&self) {
+        let all = async {
+            // One more look is for a request that is being read.
+            for _ in 0..2 {
+                tokio::time::sleep(LOOK).await;
+                while self.places.available_permits() < MOST_PLACES
+                    || self.places_of_stops.available_permits() < MOST_STOPS
+                {
+                    tokio::time::sleep(LOOK).await;
+                }
+            }
+        };
+        let _ = tokio::time::timeout(LINGER, all).await;
     }
 }
 

@@ -99,6 +99,13 @@ impl Viewers {
         self.publish(count);
         Ok(receiver)
     }
+
+    /// Ends all streams; the pages come back by themselves.
+    pub fn end(&self) {
+        for (_, task) in self.streams().by_viewer.values() {
+            task.abort();
+        }
+    }
 }
 
 /// Takes a stream off the list when it ends.

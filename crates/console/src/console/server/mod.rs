@@ -163,7 +163,7 @@ impl Server {
         let other_method =
             || async { Refusal::new(StatusCode::METHOD_NOT_ALLOWED, "not with this method") };
         let routes = pages::routes()
-            .merge(events::routes(viewers))
+            .merge(events::routes(viewers.clone()))
             .merge(control::routes(parts.control.clone()))
             .merge(parts.routes)
             .fallback(nothing)
@@ -177,10 +177,12 @@ impl Server {
                     return;
                 };
                 tokio::select! {
-                    () = accept(listener, inside) => {}
+                    () = accept(listener, inside.clone()) => {}
                     () = tick(parts.control) => {}
                     _ = stopped => {}
                 }
+                viewers.end();
+                inside.answered().await;
             });
             // What a handler still waits for ends by itself.
             runtime.shutdown_background();
@@ -232,5 +234,50 @@ impl Drop for Running {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+
+    use super::*;
+
+    /// As when a page chooses another bench while another page asks something.
+    #[test]
+    fn what_was_asked_before_the_end_is_answered() {
+        let server = Server::bind(&ListenOptions::default()).unwrap();
+        let (address, socket) = (server.address(), server.socket_address());
+        let hub = Hub::default();
+        let (asked, is_asked) = std::sync::mpsc::channel();
+        let slow = move || async move {
+            asked.send(()).unwrap();
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            "answered"
+        };
+        let running = server.start(Parts {
+            control: Control::new(hub.clone()),
+            hub,
+            facts: serde_json::json!({}),
+            routes: Router::new().route("/slow", axum::routing::get(slow)),
+        });
+        let request = |path: &str| {
+            let mut stream = std::net::TcpStream::connect(socket).unwrap();
+            let path = address.splitn(4, '/').nth(3).unwrap().to_owned() + path;
+            write!(stream, "GET /{path} HTTP/1.1\r\nhost: {socket}\r\n\r\n").unwrap();
+            stream
+        };
+        let mut events = request("api/events?viewer=a");
+        assert_eq!(events.read(&mut [0; 1]).unwrap(), 1);
+        let mut stream = request("slow");
+        is_asked.recv().unwrap();
+        drop(running);
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        assert!(text.ends_with("answered"), "{text}");
+        // The last chunk.
+        text.clear();
+        events.read_to_string(&mut text).unwrap();
+        assert!(text.ends_with("\r\n0\r\n\r\n"), "{text}");
     }
 }
