@@ -51,9 +51,7 @@ use rig_core::brdf::{Atom, Dictionary, Mixture};
 use rig_core::geometry::{Ray, Shape};
 use rig_core::radiance_image::RadianceImage;
 use rig_core::random::{Purpose, Stream, stream};
-use rig_core::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
-};
+use rig_core::transport::{Camera, Light, Proposal, RenderOptions, Scene, Shading, render};
 
 // ------------------------------------------------------- Section 3: what is known
 
@@ -322,17 +320,8 @@ pub fn bowl(segments: u32, size_px: usize) -> Result<Scene, Box<dyn Error>> {
         segments,
     }
     .mesh()?;
-    let field = Projection::Orthographic {
-        extent_mm: DVec2::splat(1.9),
-    };
-    let above = DVec3::new(0.0, 0.0, 5.0);
-    let camera = Camera::looking_at([size_px; 2], field, above, DVec3::ZERO, DVec3::Y);
-    let camera = camera.ok_or("the camera looks along its own up vector")?;
-    let light = |to_light: DVec3| Light::Directional {
-        to_light: to_light.normalize(),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    };
+    let camera = Camera::above([size_px; 2], DVec2::splat(1.9), 5.0);
+    let light = |to_light: DVec3| Light::distant(to_light, [1.0; 3]);
     let lights = vec![light(DVec3::Z), light(DVec3::new(0.5, 0.2, 1.0))];
     Ok(Scene::new(mesh, Shading::Smooth, camera, lights))
 }

@@ -21,7 +21,7 @@ use rig::radiometry::sensor::SensorNoise;
 use rig::random::{Purpose, Stream, stream};
 use rig::report::CapturedInput;
 use rig::session::Sidecar;
-use rig::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
+use rig::transport::{Camera, Light, RenderOptions, Scene, Shading, render};
 use rig::units::Seconds;
 
 /// One test at a time: what another allocates would count as well.
@@ -125,33 +125,17 @@ fn no_broken_input_breaks_a_parser() {
 
 /// A bowl under `lights` lamps around it.
 fn bowl(side: usize, lights: usize) -> Scene {
-    let extent_mm = DVec2::splat(2.2);
-    let camera = Camera::looking_at(
-        [side; 2],
-        Projection::Orthographic { extent_mm },
-        5.0 * DVec3::Z,
-        DVec3::ZERO,
-        DVec3::Y,
-    );
+    let camera = Camera::above([side; 2], DVec2::splat(2.2), 5.0);
     let light = |number: usize| {
         let (sin, cos) = (2.0 * number as f64).sin_cos();
-        Light::Directional {
-            to_light: DVec3::new(0.5 * cos, 0.5 * sin, 1.0).normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        }
+        Light::distant(DVec3::new(0.5 * cos, 0.5 * sin, 1.0), [1.0; 3])
     };
     let shape = Shape::Bowl {
         radius_mm: 1.0,
         segments: 32,
     };
     let lights = (0..lights).map(light).collect();
-    Scene::new(
-        shape.mesh().unwrap(),
-        Shading::Smooth,
-        camera.unwrap(),
-        lights,
-    )
+    Scene::new(shape.mesh().unwrap(), Shading::Smooth, camera, lights)
 }
 
 /// Bytes that a fit with the fewest paths allocates at most at a time, and what is estimated.

@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use mock_devices::{Illumination, RadianceSource};
 use rig::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig::config::{BUILT_IN, RigConfig};
@@ -15,9 +15,7 @@ use rig::radiometry::mosaic::Mosaic;
 use rig::random::{Purpose, stream};
 use rig::simulation::{Truth, TruthSource, pose_error};
 use rig::transport::render::render_pixels;
-use rig::transport::{
-    Camera, Light, Projection, RenderOptions, Scene, Shading, Steering, suited_proposal,
-};
+use rig::transport::{Camera, Light, RenderOptions, Scene, Shading, Steering, suited_proposal};
 use rig::units::StageAngles;
 
 /// The lamp's second channel, off the place where it was sent.
@@ -171,17 +169,10 @@ fn interpolated_interreflection_is_that_of_paths_from_every_pixel() {
         },
     ];
     let at = StageAngles::new(30.02, 70.03);
-    let lamp = |angles: StageAngles| Light::Directional {
-        to_light: angles.to_light(),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    };
+    let lamp = |angles: StageAngles| Light::distant(angles.to_light(), [1.0; 3]);
     for shape in shapes {
         let extent_mm = DVec2::new(40.0, 30.0);
-        let from = DVec3::new(0.0, 0.0, 200.0);
-        let projection = Projection::Orthographic { extent_mm };
-        let mut camera =
-            Camera::looking_at([320, 240], projection, from, DVec3::ZERO, DVec3::Y).unwrap();
+        let mut camera = Camera::above([320, 240], extent_mm, 200.0);
         camera.point_spread_px = 0.5;
         let brdf = bright();
         let truth = |seed| {

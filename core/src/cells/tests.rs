@@ -7,11 +7,7 @@ use crate::random::{Purpose, stream};
 use crate::transport::{Camera, Coefficients, LensSpec, Light, Projection, Shading};
 
 fn sun(to_light: DVec3) -> Light {
-    Light::Directional {
-        to_light: to_light.normalize(),
-        irradiance: [1.0, 2.0, 0.5],
-        angular_radius_rad: 0.0,
-    }
+    Light::distant(to_light, [1.0, 2.0, 0.5])
 }
 
 /// A bowl under two lights, as a perspective camera with a lens that distorts and blurs sees it.

@@ -115,41 +115,23 @@ fn scores(
 pub(super) mod tests {
     use std::sync::Arc;
 
-    use glam::{DVec2, DVec3};
+    use glam::DVec3;
 
     use super::*;
     use crate::brdf::dictionary::{Atom, Dictionary};
     use crate::cells::{Captured, CellOptions};
-    use crate::geometry::Shape;
+
     use crate::inverse::options::FitOptions;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;
-    use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
+    use crate::transport::{Light, RenderOptions, render};
 
     /// A bowl under two lights, photographed with this many cells per side.
     pub(in crate::inverse) fn bowl(cells: usize) -> Scene {
-        let projection = Projection::Orthographic {
-            extent_mm: DVec2::splat(2.2),
-        };
-        let above = DVec3::new(0.0, 0.0, 5.0);
-        let resolution_px = [cells; 2];
-        let camera =
-            Camera::looking_at(resolution_px, projection, above, DVec3::ZERO, DVec3::Y).unwrap();
-        let shape = Shape::Bowl {
-            radius_mm: 1.0,
-            segments: 48,
-        };
-        let lights = [DVec3::Z, DVec3::new(0.4, 0.1, 1.0)].map(|to_light| Light::Directional {
-            to_light: to_light.normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        });
-        Scene::new(
-            shape.mesh().unwrap(),
-            Shading::Smooth,
-            camera,
-            lights.to_vec(),
-        )
+        let mut scene = Scene::bowl(48, [cells; 2], 2.2);
+        let aside = DVec3::new(0.4, 0.1, 1.0);
+        scene.lights.push(Light::distant(aside, [1.0; 3]));
+        scene
     }
 
     /// Fits of samples with the stated form error scatter as the covariance says,

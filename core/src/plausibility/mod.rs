@@ -412,30 +412,19 @@ mod tests {
     use crate::brdf::Mixture;
     use crate::cells::CellOptions;
     use crate::geometry::Shape;
-    use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
+    use crate::transport::{Camera, Light, RenderOptions, Shading, render};
 
     /// A white ball whose lamp stands so far from the camera, with noise of this standard
     /// deviation.
     fn lit_from(off_deg: f64, noise: f32) -> Result<(), Implausible> {
         let (sin, cos) = off_deg.to_radians().sin_cos();
-        let light = Light::Directional {
-            to_light: DVec3::new(sin, 0.0, cos),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
+        let light = Light::distant(DVec3::new(sin, 0.0, cos), [1.0; 3]);
         let ball = Shape::Sphere {
             radius_mm: 1.0,
             segments: 128,
         };
-        let extent_mm = DVec2::splat(2.2);
-        let camera = Camera::looking_at(
-            [64; 2],
-            Projection::Orthographic { extent_mm },
-            DVec3::new(0.0, 0.0, 5.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        );
-        let (mesh, camera) = (ball.mesh().unwrap(), camera.unwrap());
+        let camera = Camera::above([64; 2], DVec2::splat(2.2), 5.0);
+        let mesh = ball.mesh().unwrap();
         let scene = Scene::new(mesh, Shading::Smooth, camera, vec![light]);
         let white = Dictionary::new("white", vec![Atom::Lambertian { albedo: 1.0 }]).unwrap();
         let mixture = Mixture::new(Arc::new(white.clone()), std::array::from_fn(|_| vec![1.0]));

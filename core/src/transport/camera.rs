@@ -85,6 +85,24 @@ impl Camera {
         })
     }
 
+    /// A telecentric camera straight above the sample, +y up in its image: width and height of
+    /// the field of view, millimetres, and the distance from the sample's origin, millimetres.
+    ///
+    /// # Panics
+    /// If the distance is not positive.
+    pub fn above(resolution_px: [usize; 2], extent_mm: DVec2, distance_mm: f64) -> Self {
+        let projection = Projection::Orthographic { extent_mm };
+        let position_mm = DVec3::new(0.0, 0.0, distance_mm);
+        Self::looking_at(
+            resolution_px,
+            projection,
+            position_mm,
+            DVec3::ZERO,
+            DVec3::Y,
+        )
+        .expect("the camera is above the sample")
+    }
+
     /// Width and height of what an ideal lens shows at the depth of a point of the sample's
     /// frame, millimetres; nothing behind the camera.
     pub fn field_mm(&self, point_mm: DVec3) -> DVec2 {

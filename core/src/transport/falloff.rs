@@ -34,7 +34,7 @@ mod tests {
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::geometry::Mesh;
     use crate::transport::{
-        Camera, Cells, DirectMatrix, Light, Projection, RenderOptions, Scene, Shading, render,
+        Camera, Cells, DirectMatrix, Light, RenderOptions, Scene, Shading, render,
     };
 
     /// A level white plate under an uneven lamp and an even one.
@@ -43,16 +43,8 @@ mod tests {
         let corners = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)];
         let corners = corners.map(|(x, y)| Vec3::new(x, y, 0.0)).to_vec();
         let plate = Mesh::new(corners, vec![[0, 1, 2], [0, 2, 3]]).unwrap();
-        let projection = Projection::Orthographic {
-            extent_mm: DVec2::splat(8.0),
-        };
-        let from = DVec3::new(0.0, 0.0, 50.0);
-        let camera = Camera::looking_at([8, 8], projection, from, DVec3::ZERO, DVec3::Y).unwrap();
-        let lamp = Light::Directional {
-            to_light: DVec3::Z,
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
+        let camera = Camera::above([8, 8], DVec2::splat(8.0), 50.0);
+        let lamp = Light::distant(DVec3::Z, [1.0; 3]);
         let mut scene = Scene::new(plate, Shading::Flat, camera, vec![lamp; 2]);
         scene.falloffs = vec![Falloff {
             slope_per_mm: [0.02, -0.03],

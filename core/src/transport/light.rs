@@ -50,6 +50,16 @@ pub struct LightSample {
 }
 
 impl Light {
+    /// A point so far away that its light comes from the same direction everywhere (of any
+    /// length), with this irradiance on a surface perpendicular to it.
+    pub fn distant(to_light: DVec3, irradiance: [f64; 3]) -> Self {
+        Self::Directional {
+            to_light: to_light.normalize(),
+            irradiance,
+            angular_radius_rad: 0.0,
+        }
+    }
+
     /// The per-channel factor that is the same for every surface point.
     pub fn strength(&self) -> [f64; 3] {
         match self {

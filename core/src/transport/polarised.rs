@@ -112,7 +112,7 @@ mod tests {
     use crate::brdf::nbrdf::NeuralBrdf;
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::geometry::Mesh;
-    use crate::transport::{Body, Camera, Light, Projection, Proposal, Shading, render};
+    use crate::transport::{Body, Camera, Light, Proposal, Shading, render};
     use glam::{DVec2, DVec3};
     use std::sync::Arc;
 
@@ -138,21 +138,8 @@ mod tests {
             triangles.extend([[n, n + 1, n + 2], [n, n + 2, n + 3]]);
         }
         let mesh = Mesh::new(positions, triangles).unwrap();
-        let camera = Camera::looking_at(
-            [4, 4],
-            Projection::Orthographic {
-                extent_mm: DVec2::splat(0.1),
-            },
-            DVec3::new(0.0, 0.0, 20.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        )
-        .unwrap();
-        let light = Light::Directional {
-            to_light,
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
+        let camera = Camera::above([4, 4], DVec2::splat(0.1), 20.0);
+        let light = Light::distant(to_light, [1.0; 3]);
         Scene::new(mesh, Shading::Flat, camera, vec![light])
     }
 

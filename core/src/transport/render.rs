@@ -72,19 +72,8 @@ impl RenderOptions {
 /// # use glam::{DVec2, DVec3};
 /// # use rig_core::geometry::Shape;
 /// # use rig_core::transport::{Camera, Light, Projection, Scene, Shading};
-/// # let camera = Camera::looking_at(
-/// #     [8, 8],
-/// #     Projection::Orthographic { extent_mm: DVec2::splat(16.0) },
-/// #     DVec3::new(0.0, 0.0, 100.0),
-/// #     DVec3::ZERO,
-/// #     DVec3::Y,
-/// # )
-/// # .expect("it looks down");
-/// # let light = Light::Directional {
-/// #     to_light: DVec3::Z,
-/// #     irradiance: [1.0; 3],
-/// #     angular_radius_rad: 0.0,
-/// # };
+/// # let camera = Camera::above([8, 8], DVec2::splat(16.0), 100.0);
+/// # let light = Light::distant(DVec3::Z, [1.0; 3]);
 /// # let bowl = Shape::Bowl { radius_mm: 10.0, segments: 32 }.mesh()?;
 /// # let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
 /// use rig_core::brdf::source;

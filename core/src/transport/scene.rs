@@ -41,19 +41,8 @@ pub struct Body {
 /// use rig_core::geometry::Shape;
 /// use rig_core::transport::{Camera, Light, Projection, Scene, Shading, Visibility};
 ///
-/// let camera = Camera::looking_at(
-///     [64, 64],
-///     Projection::Orthographic { extent_mm: DVec2::splat(24.0) },
-///     DVec3::new(0.0, 0.0, 100.0),
-///     DVec3::ZERO,
-///     DVec3::Y,
-/// )
-/// .expect("it looks down");
-/// let light = Light::Directional {
-///     to_light: DVec3::new(0.5, 0.0, 1.0).normalize(),
-///     irradiance: [3.0; 3],
-///     angular_radius_rad: 0.0,
-/// };
+/// let camera = Camera::above([64, 64], DVec2::splat(24.0), 100.0);
+/// let light = Light::distant(DVec3::new(0.5, 0.0, 1.0), [3.0; 3]);
 /// let bowl = Shape::Bowl { radius_mm: 10.0, segments: 64 }.mesh()?;
 /// let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
 /// // The camera sees the whole sample from the front, and the light reaches it.
@@ -386,28 +375,14 @@ impl Scene {
 #[cfg(test)]
 impl Scene {
     /// A smooth hemisphere of radius 1 mm under a coaxial camera and lamp.
-    pub(super) fn bowl(segments: u32, resolution_px: [usize; 2], width_mm: f64) -> Self {
-        use super::camera::Projection;
+    pub(crate) fn bowl(segments: u32, resolution_px: [usize; 2], width_mm: f64) -> Self {
         use glam::{DVec2, DVec3};
         let bowl = crate::geometry::Shape::Bowl {
             radius_mm: 1.0,
             segments,
         };
-        let camera = Camera::looking_at(
-            resolution_px,
-            Projection::Orthographic {
-                extent_mm: DVec2::splat(width_mm),
-            },
-            DVec3::new(0.0, 0.0, 5.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        );
-        let sun = Light::Directional {
-            to_light: DVec3::Z,
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
-        let (mesh, camera) = (bowl.mesh().unwrap(), camera.unwrap());
-        Self::new(mesh, Shading::Smooth, camera, vec![sun])
+        let camera = Camera::above(resolution_px, DVec2::splat(width_mm), 5.0);
+        let sun = Light::distant(DVec3::Z, [1.0; 3]);
+        Self::new(bowl.mesh().unwrap(), Shading::Smooth, camera, vec![sun])
     }
 }

@@ -119,35 +119,16 @@ fn extrapolated([followed, near, far]: [f64; 3]) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::brdf::{Atom, Dictionary, Mixture};
-    use crate::geometry::Shape;
-    use crate::transport::{Camera, Light, Projection, Proposal, Shading};
-    use glam::{DVec2, DVec3};
+    use crate::transport::{Light, Proposal};
+    use glam::DVec3;
     use std::sync::Arc;
 
     /// The Lambertian hemisphere under coaxial light: order k ≥ 2 adds the same
     /// (ρ/π)(ρ/4)(ρ/2)^(k−2) everywhere, order 1 (ρ/π) cos θ, whose mean over the disc is 2/3.
     #[test]
     fn a_lambertian_bowl_has_the_closed_form() {
-        let bowl = Shape::Bowl {
-            radius_mm: 1.0,
-            segments: 128,
-        };
-        let camera = Camera::looking_at(
-            [24, 24],
-            Projection::Orthographic {
-                extent_mm: DVec2::splat(2.2),
-            },
-            DVec3::new(0.0, 0.0, 5.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        )
-        .unwrap();
-        let light = Light::Directional {
-            to_light: DVec3::Z,
-            irradiance: [2.0, 1.0, 1.0],
-            angular_radius_rad: 0.0,
-        };
-        let scene = Scene::new(bowl.mesh().unwrap(), Shading::Smooth, camera, vec![light]);
+        let mut scene = Scene::bowl(128, [24, 24], 2.2);
+        scene.lights = vec![Light::distant(DVec3::Z, [2.0, 1.0, 1.0])];
         for (albedo, cut) in [(0.9f64, 1), (0.9, 3), (0.9, 8), (0.5, 4), (1.0, 6)] {
             let dictionary = Dictionary::new("grey", vec![Atom::Lambertian { albedo }]).unwrap();
             let brdf = Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap();

@@ -402,11 +402,7 @@ mod tests {
     }
 
     fn sun(x: f64, z: f64) -> Light {
-        Light::Directional {
-            to_light: DVec3::new(x, 0.0, z).normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        }
+        Light::distant(DVec3::new(x, 0.0, z), [1.0; 3])
     }
 
     fn concerns(mesh: Mesh, camera: Camera, lights: Vec<Light>) -> Vec<Concern> {

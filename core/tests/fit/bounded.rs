@@ -11,9 +11,7 @@ use rig_core::cells::{Captured, CellOptions};
 use rig_core::geometry::Shape;
 use rig_core::inverse::{FitOptions, fit};
 use rig_core::random::{Purpose, stream};
-use rig_core::transport::{
-    Camera, Light, Projection, RenderOptions, Scene, Shading, render, suited_proposal,
-};
+use rig_core::transport::{Camera, Light, RenderOptions, Scene, Shading, render, suited_proposal};
 
 /// Dark below a narrow lobe: its images ask for a discrepancy that is anything but small.
 struct DarkGloss;
@@ -29,17 +27,11 @@ impl Brdf for DarkGloss {
 }
 
 fn scene(shape: &Shape, lights: usize) -> Scene {
-    let projection = Projection::Orthographic {
-        extent_mm: DVec2::splat(2.2),
-    };
-    let above = DVec3::new(0.0, 0.0, 5.0);
-    let camera = Camera::looking_at([12; 2], projection, above, DVec3::ZERO, DVec3::Y).unwrap();
+    let camera = Camera::above([12; 2], DVec2::splat(2.2), 5.0);
     let toward = [[0.0, 0.0], [0.5, 0.1], [-0.3, 0.6], [-0.2, -0.9]];
-    let lights = toward[..lights].iter().map(|&[x, y]| Light::Directional {
-        to_light: DVec3::new(x, y, 1.0).normalize(),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    });
+    let lights = toward[..lights]
+        .iter()
+        .map(|&[x, y]| Light::distant(DVec3::new(x, y, 1.0), [1.0; 3]));
     let mesh = shape.mesh().unwrap();
     Scene::new(mesh, Shading::Smooth, camera, lights.collect())
 }

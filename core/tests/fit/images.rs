@@ -23,9 +23,7 @@ use rig_core::inverse::variance_shares;
 use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, fit_with_progress, intervals};
 use rig_core::progress::Progress;
 use rig_core::radiance_image::RadianceImage;
-use rig_core::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
-};
+use rig_core::transport::{Camera, Light, Proposal, RenderOptions, Scene, Shading, render};
 
 fn scene(shape: Shape, directions: &[DVec3]) -> Scene {
     scene_of(24, shape, directions)
@@ -33,23 +31,10 @@ fn scene(shape: Shape, directions: &[DVec3]) -> Scene {
 
 /// With so many pixels per side.
 fn scene_of(size: usize, shape: Shape, directions: &[DVec3]) -> Scene {
-    let camera = Camera::looking_at(
-        [size; 2],
-        Projection::Orthographic {
-            extent_mm: DVec2::splat(2.2),
-        },
-        DVec3::new(0.0, 0.0, 5.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .unwrap();
+    let camera = Camera::above([size; 2], DVec2::splat(2.2), 5.0);
     let lights = directions
         .iter()
-        .map(|d| Light::Directional {
-            to_light: d.normalize(),
-            irradiance: [1.0, 2.0, 0.5],
-            angular_radius_rad: 0.0,
-        })
+        .map(|d| Light::distant(*d, [1.0, 2.0, 0.5]))
         .collect();
     Scene::new(shape.mesh().unwrap(), Shading::Smooth, camera, lights)
 }

@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use nalgebra::DVector;
 use rig_core::brdf::{Atom, Dictionary, Mixture};
 use rig_core::cells::Captured;
@@ -20,8 +20,8 @@ use rig_core::inverse::{
 use rig_core::radiance_image::RadianceImage;
 use rig_core::random::{Purpose, stream};
 use rig_core::transport::{
-    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Projection, Proposal, RenderOptions,
-    Scene, Shading, render,
+    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Proposal, RenderOptions, Scene,
+    Shading, render,
 };
 
 use super::references::{above, mesh, sun};
@@ -114,26 +114,13 @@ fn without_last(groups: &[[Vec<f64>; 2]], weight: f64) -> Vec<Vec<f64>> {
 /// A hemisphere seen from above within its rim, under coaxial light, and the dictionary of
 /// one grey atom next to black.
 fn grey_bowl(pixels: usize) -> (Scene, Arc<Dictionary>) {
-    let camera = Camera::looking_at(
-        [pixels, pixels],
-        Projection::Orthographic {
-            extent_mm: DVec2::splat(1.3),
-        },
-        DVec3::new(0.0, 0.0, 5.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    );
+    let camera = Camera::above([pixels; 2], DVec2::splat(1.3), 5.0);
     let bowl = Shape::Bowl {
         radius_mm: 1.0,
         segments: 256,
     };
     let lights = vec![sun(0.0, 0.0)];
-    let scene = Scene::new(
-        bowl.mesh().unwrap(),
-        Shading::Smooth,
-        camera.unwrap(),
-        lights,
-    );
+    let scene = Scene::new(bowl.mesh().unwrap(), Shading::Smooth, camera, lights);
     let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
     let dictionary = Dictionary::new("grey", atoms).unwrap();
     (scene, Arc::new(dictionary))

@@ -76,11 +76,7 @@ fn towards(theta_deg: f64, phi_deg: f64) -> DVec3 {
 }
 
 pub fn sun(theta_deg: f64, phi_deg: f64) -> Light {
-    Light::Directional {
-        to_light: towards(theta_deg, phi_deg),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    }
+    Light::distant(towards(theta_deg, phi_deg), [1.0; 3])
 }
 
 fn lamp(position_mm: [f64; 3], intensity: f64) -> Light {
@@ -92,10 +88,7 @@ fn lamp(position_mm: [f64; 3], intensity: f64) -> Light {
 
 /// Orthographic along −z, field of view ±1.1.
 pub fn above(resolution_px: [usize; 2]) -> Camera {
-    let extent_mm = DVec2::splat(2.2);
-    let from = DVec3::new(0.0, 0.0, 5.0);
-    let projection = Projection::Orthographic { extent_mm };
-    Camera::looking_at(resolution_px, projection, from, DVec3::ZERO, DVec3::Y).unwrap()
+    Camera::above(resolution_px, DVec2::splat(2.2), 5.0)
 }
 
 /// The upper left quarter of [`above`] at 64 × 64.

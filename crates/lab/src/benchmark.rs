@@ -12,15 +12,14 @@ use serde_json::{Value, json};
 use crate::bench_priors::BenchPriors;
 use crate::brdf::{BrdfError, Dictionary, Mixture};
 use crate::cells::{Captured, CellOptions};
-use crate::frames::Rigid;
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, MeshError, Ray, Shape};
 use crate::inverse::{FitError, FitOptions, fit};
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
 use crate::transport::{
-    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Lens, Light, Projection, Proposal,
-    RenderOptions, Scene, Shading, render,
+    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Light, Proposal, RenderOptions,
+    Scene, Shading, render,
 };
 
 /// Why nothing was measured.
@@ -416,30 +415,16 @@ fn bounces(mesh: &Mesh, count: usize) -> Vec<Ray> {
 
 /// 64 × 64 pixels of 2.2 mm along −z, and lamps at (angle from the axis, azimuth) in degrees.
 fn scene(mesh: Mesh, lights_deg: &[[f64; 2]]) -> Scene {
-    let camera = Camera {
-        resolution_px: [64, 64],
-        projection: Projection::Orthographic {
-            extent_mm: DVec2::splat(2.2),
-        },
-        lens: Lens::IDEAL,
-        sample_from_camera: Rigid::new(
-            glam::DQuat::from_rotation_x(std::f64::consts::PI),
-            DVec3::new(0.0, 0.0, 5.0),
-        ),
-        focus_mm: 5.0,
-        object_na: 0.0,
-        point_spread_px: 0.0,
-    };
+    let camera = Camera::above([64, 64], DVec2::splat(2.2), 5.0);
     let lights = lights_deg
         .iter()
         .map(|[from_axis, azimuth]| {
             let (sin, cos) = from_axis.to_radians().sin_cos();
             let (sin_azimuth, cos_azimuth) = azimuth.to_radians().sin_cos();
-            Light::Directional {
-                to_light: DVec3::new(sin * cos_azimuth, sin * sin_azimuth, cos),
-                irradiance: [1.0; 3],
-                angular_radius_rad: 0.0,
-            }
+            Light::distant(
+                DVec3::new(sin * cos_azimuth, sin * sin_azimuth, cos),
+                [1.0; 3],
+            )
         })
         .collect();
     Scene::new(mesh, Shading::Flat, camera, lights)

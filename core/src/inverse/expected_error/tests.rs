@@ -1,11 +1,10 @@
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::*;
-use crate::geometry::Shape;
 use crate::random::{Purpose, stream};
-use crate::transport::{Camera, Light, Projection, Shading};
+use crate::transport::Light;
 
 /// Values of a synthetic material, its modes, and values of each light's image.
 const VALUES: usize = 9;
@@ -114,30 +113,17 @@ fn greedy_steps_are_the_best_single_steps_and_the_best_no_worse_than_the_plan() 
 }
 
 fn bowl(lights: Vec<Light>) -> Scene {
-    let mesh = Shape::Bowl {
-        radius_mm: 1.0,
-        segments: 24,
-    }
-    .mesh()
-    .unwrap();
-    let camera = Camera::looking_at(
-        [12, 12],
-        Projection::Orthographic {
-            extent_mm: DVec2::splat(2.2),
-        },
-        DVec3::new(0.0, 0.0, 5.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .unwrap();
-    Scene::new(mesh, Shading::Smooth, camera, lights)
+    let mut scene = Scene::bowl(24, [12, 12], 2.2);
+    scene.lights = lights;
+    scene
 }
 
 fn choices(threads: usize) -> Vec<Choice> {
-    let light = |degrees: f64| Light::Directional {
-        to_light: DVec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos()),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
+    let light = |degrees: f64| {
+        Light::distant(
+            DVec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos()),
+            [1.0; 3],
+        )
     };
     let lights = [
         0.0, 120.0, -30.0, 30.0, 50.0, -50.0, 10.0, -10.0, 20.0, 65.0,

@@ -20,7 +20,7 @@ use crate::inverse::{Channels, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Camera, Cells, Light, Projection, Proposal, RenderOptions, Scene, Shading, Steering, render,
+    Camera, Cells, Light, Proposal, RenderOptions, Scene, Shading, Steering, render,
 };
 use crate::units::StageAngles;
 
@@ -30,16 +30,7 @@ fn bowl(segments: u32, size: usize, lights: &[[f64; 2]]) -> Scene {
         radius_mm: 25.0,
         segments,
     };
-    let camera = Camera::looking_at(
-        [size, size],
-        Projection::Orthographic {
-            extent_mm: DVec2::splat(54.0),
-        },
-        DVec3::new(0.0, 0.0, 150.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .unwrap();
+    let camera = Camera::above([size, size], DVec2::splat(54.0), 150.0);
     let lights = lights
         .iter()
         .map(|&[azimuth_deg, elevation_deg]| Light::Directional {

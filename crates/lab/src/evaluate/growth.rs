@@ -15,9 +15,7 @@ use crate::geometry::Shape;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::random::{Purpose, stream};
-use crate::transport::{
-    Camera, Light, Projection, RenderOptions, Scene, Shading, render, suited_proposal,
-};
+use crate::transport::{Camera, Light, RenderOptions, Scene, Shading, render, suited_proposal};
 use crate::whole_file;
 
 /// Sizes of the images, pixels. The largest is what a Bayer sensor of 20 MP merges to.
@@ -198,21 +196,8 @@ fn rendered() -> Result<Vec<RadianceImage>, EvaluateError> {
         radius_mm: RADIUS_MM,
         segments: 192,
     };
-    let camera = Camera::looking_at(
-        RENDERED,
-        Projection::Orthographic {
-            extent_mm: DVec2::from(EXTENT_MM),
-        },
-        DVec3::new(0.0, 0.0, 200.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .expect("a camera above the sample");
-    let lights = TO_LIGHT.map(|to_light| Light::Directional {
-        to_light: DVec3::from(to_light).normalize(),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    });
+    let camera = Camera::above(RENDERED, DVec2::from(EXTENT_MM), 200.0);
+    let lights = TO_LIGHT.map(|to_light| Light::distant(DVec3::from(to_light), [1.0; 3]));
     let scene = Scene::new(mesh.mesh()?, Shading::Smooth, camera, lights.to_vec());
     let brdf = source::load("nbrdf:dark-red-paint")?;
     let mut options = RenderOptions {

@@ -163,23 +163,13 @@ fn px_per_mm(camera: &Camera, at_px: DVec2, depth_mm: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
 
     use super::*;
     use crate::geometry::Shape;
-    use crate::transport::{Projection, Shading};
+    use crate::transport::Shading;
 
     fn scene(object_na: f64, focus_mm: f64) -> Scene {
-        let mut camera = Camera::looking_at(
-            [100, 100],
-            Projection::Orthographic {
-                extent_mm: DVec2::splat(20.0),
-            },
-            DVec3::new(0.0, 0.0, 200.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        )
-        .unwrap();
+        let mut camera = Camera::above([100, 100], DVec2::splat(20.0), 200.0);
         camera.object_na = object_na;
         camera.focus_mm = focus_mm;
         let bowl = Shape::Bowl {

@@ -408,11 +408,7 @@ mod tests {
     #[test]
     fn a_light_that_does_not_reach_the_standard_is_named_by_its_incidence() {
         let (camera, mut lights) = (camera(), lights());
-        lights[0].0 = Light::Directional {
-            to_light: DVec3::new(1.0, 0.0, -0.02).normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
+        lights[0].0 = Light::distant(DVec3::new(1.0, 0.0, -0.02), [1.0; 3]);
         let found = white(&camera, &lights, 0.005, 0.0).measure(&[photograph(0, 1.0, 0.99, 1)]);
         assert!(
             matches!(found, Err(WhiteError::Incidence { degrees }) if (91.0..92.0).contains(&degrees)),

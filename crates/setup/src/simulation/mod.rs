@@ -298,7 +298,7 @@ mod tests {
     use super::*;
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::geometry::Shape;
-    use crate::transport::Projection;
+
     use glam::DVec2;
 
     fn source(pose_error_mm: f64) -> TruthSource {
@@ -312,21 +312,8 @@ mod tests {
             .unwrap(),
             shading: Shading::Smooth,
             bodies: Vec::new(),
-            camera: Camera::looking_at(
-                [8, 8],
-                Projection::Orthographic {
-                    extent_mm: DVec2::splat(2.2),
-                },
-                DVec3::new(0.0, 0.0, 5.0),
-                DVec3::ZERO,
-                DVec3::Y,
-            )
-            .unwrap(),
-            light: Box::new(|angles| Light::Directional {
-                to_light: angles.to_light(),
-                irradiance: [1.0, 2.0, 3.0],
-                angular_radius_rad: 0.0,
-            }),
+            camera: Camera::above([8, 8], DVec2::splat(2.2), 5.0),
+            light: Box::new(|angles| Light::distant(angles.to_light(), [1.0, 2.0, 3.0])),
             mosaic: Mosaic::None,
             brdf: Arc::new(Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap()),
             pose_error_mm,

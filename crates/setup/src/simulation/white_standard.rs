@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
-use crate::transport::{Camera, Light, Projection};
+use crate::transport::{Camera, Light};
 use crate::units::StageAngles;
 
 /// Pixels along each side of the photographs.
@@ -25,12 +25,7 @@ const EXTENT_MM: f64 = 24.0;
 
 /// A telecentric camera above the standard.
 pub fn camera() -> Camera {
-    let projection = Projection::Orthographic {
-        extent_mm: DVec2::splat(EXTENT_MM),
-    };
-    let from = DVec3::new(0.0, 0.0, 200.0);
-    Camera::looking_at([SIDE; 2], projection, from, DVec3::ZERO, DVec3::Y)
-        .expect("it does not look along its own up")
+    Camera::above([SIDE; 2], DVec2::splat(EXTENT_MM), 200.0)
 }
 
 /// Set-points of a lamp, degrees.

@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use crate::evaluate::error::EvaluateError;
 use crate::geometry::Shape;
 use crate::geometry::shapes::Form;
-use crate::transport::{Camera, Light, Projection, Scene, Shading};
+use crate::transport::{Camera, Light, Scene, Shading};
 
 /// A sample shape of Fig. 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -152,29 +152,14 @@ pub const HALF_VIEW_MM: f64 = 1.1;
 
 /// Telecentric, 2.2 × 2.2 mm, looking down −z from z = 5 mm.
 pub fn camera(resolution_px: usize) -> Camera {
-    let projection = Projection::Orthographic {
-        extent_mm: DVec2::splat(2.0 * HALF_VIEW_MM),
-    };
-    let position_mm = DVec3::new(0.0, 0.0, 5.0);
-    Camera::looking_at(
-        [resolution_px; 2],
-        projection,
-        position_mm,
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .expect("a fixed, regular pose")
+    Camera::above([resolution_px; 2], DVec2::splat(2.0 * HALF_VIEW_MM), 5.0)
 }
 
 /// A far lamp of unit irradiance at an angle from +z, azimuth from +x.
 pub fn directional(polar_deg: f64, azimuth_deg: f64) -> Light {
     let (sin, cos) = polar_deg.to_radians().sin_cos();
     let (y, x) = azimuth_deg.to_radians().sin_cos();
-    Light::Directional {
-        to_light: DVec3::new(sin * x, sin * y, cos),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    }
+    Light::distant(DVec3::new(sin * x, sin * y, cos), [1.0; 3])
 }
 
 /// Van der Corput's sequence in base 2.

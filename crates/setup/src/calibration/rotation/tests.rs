@@ -6,35 +6,19 @@ use std::f64::consts::PI;
 use super::*;
 use crate::geometry::Shape;
 use crate::random::{Purpose, stream};
-use crate::transport::{Camera, Light, Projection, Shading};
+use crate::transport::{Camera, Light, Shading};
 
 const SIZE: usize = 40;
 const REPEATABILITY: f64 = 0.01;
 
 fn scene(shape: Shape) -> Scene {
-    let extent_mm = DVec2::splat(24.0);
-    let camera = Camera::looking_at(
-        [SIZE, SIZE],
-        Projection::Orthographic { extent_mm },
-        DVec3::new(0.0, 0.0, 200.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    );
+    let camera = Camera::above([SIZE, SIZE], DVec2::splat(24.0), 200.0);
     let light = |k: i32| {
         let (sin, cos) = (2.1 * f64::from(k)).sin_cos();
-        Light::Directional {
-            to_light: DVec3::new(0.5 * cos, 0.5 * sin, 0.866).normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        }
+        Light::distant(DVec3::new(0.5 * cos, 0.5 * sin, 0.866), [1.0; 3])
     };
     let lights = (0..3).map(light).collect();
-    Scene::new(
-        shape.mesh().unwrap(),
-        Shading::Flat,
-        camera.unwrap(),
-        lights,
-    )
+    Scene::new(shape.mesh().unwrap(), Shading::Flat, camera, lights)
 }
 
 fn bowl() -> Scene {
