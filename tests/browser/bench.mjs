@@ -23,20 +23,18 @@ export const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true }
 
 /**
  * A folder with a rig file of the simulated bench, whose truth is rendered quickly.
- * `timing`: "instant", or "realistic" for tests that act in mid-capture; `small`: 64 × 64 pixels.
+ * `timing`: "instant", or "realistic" for tests that act in mid-capture; `small`: 64 × 64 pixels, few paths.
  */
 export async function workplace({ timing = "realistic", small = true } = {}) {
   const folder = await mkdtemp(path.join(tmpdir(), "rig-console-"));
   const text = await readFile(path.join(ROOT, "rig-configs/simulated.toml"), "utf8");
   const changes = {
-    samples_per_pixel: small ? "2" : "16",
-    max_reflections: small ? "2" : "8",
     timing: `"${timing}"`,
     // Simulated devices share a busy machine with the tests.
     reply_timeout_s: "20.0",
     connect_timeout_s: "20.0",
     frame_timeout_s: "20.0",
-    ...(small ? { resolution_px: "[64, 64]", extent_mm: "[22.0, 22.0]", point_spread_px: "0.0" } : {}),
+    ...(small ? { samples_per_pixel: "2", max_reflections: "2", resolution_px: "[64, 64]", extent_mm: "[22.0, 22.0]", point_spread_px: "0.0" } : {}),
   };
   const lines = text.split("\n").map((line) => {
     const [key] = line.split(" = ");

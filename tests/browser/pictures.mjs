@@ -1,4 +1,4 @@
-// Screenshots for docs/console.md: pictures.mjs FOLDER
+// Screenshots of the console for the documents, and its drawings: pictures.mjs FOLDER
 
 import { statSync } from "node:fs";
 import path from "node:path";
@@ -18,7 +18,50 @@ async function shoot(page, name, about = {}) {
   console.log(`${file}: ${size} bytes`);
 }
 
+/** Drawings of the page beside each other, each with a title: `[module's function, its argument, title]`. */
+async function shootDrawings(page, name, columns, drawings) {
+  await page.evaluate(async (columns, drawings) => {
+    const all = await import(new URL("drawings.js", document.querySelector("script[src]").src));
+    for (const element of document.body.children) element.style.display = "none";
+    const sheet = document.body.appendChild(document.createElement("div"));
+    sheet.id = "sheet";
+    Object.assign(sheet.style, { width: "fit-content", display: "grid", gridTemplateColumns: `repeat(${columns}, 19rem)`, gap: "1rem 2rem", padding: "1rem 1.5rem" });
+    for (const [draw, what, title] of drawings) {
+      const figure = sheet.appendChild(document.createElement("figure"));
+      figure.style.margin = 0;
+      const caption = document.createElement("figcaption");
+      caption.textContent = title;
+      caption.style.fontWeight = "600";
+      figure.append(caption, all[draw](what));
+    }
+  }, columns, drawings);
+  const sheet = await page.$("#sheet");
+  const file = path.join(folder, `${name}.png`);
+  await sheet.screenshot({ path: file });
+  await sheet.evaluate((element) => element.remove());
+  console.log(`${file}: ${statSync(file).size} bytes`);
+}
+
 try {
+  // The drawings, twice as large as on the page.
+  const sheets = await openPage(browser, desk.address, "#setup", { width: 1100, height: 900, deviceScaleFactor: 1.5 });
+  await shootDrawings(sheets, "bench-cameras", 2, [
+    ["benchDrawing", { azimuth_deg: 0, elevation_deg: 90 }, "Camera on the axis"],
+    ["benchDrawing", { azimuth_deg: 180, elevation_deg: 36 }, "Camera tilted by 54°"],
+  ]);
+  await shootDrawings(sheets, "stage-angles", 2, [
+    ["drawing", "stage", "The stage's angles"],
+    ["drawing", "lamp", "The lamp on its arm"],
+  ]);
+  await shootDrawings(sheets, "camera-view", 2, [
+    ["drawing", "camera", "A frame"],
+    ["drawing", "lens", "What of the sample it shows"],
+  ]);
+  const targets = { sensor: "Sensor, flat field", lamp: "Lamp", white: "White standard", camera: "Lens", focus: "Focus", glare: "Glare", lights: "Lights", pose: "Pose of the sample" };
+  await shootDrawings(sheets, "calibration-targets", 3, Object.entries(targets).map(([kind, title]) => ["targetDrawing", kind, title]));
+  await sheets.close();
+  if (process.argv[3] === "drawings") process.exit();
+
   const page = await openPage(browser, desk.address, "#bench", { ...LAPTOP, height: 1000 });
   await press(page, "#view-bench .devices button");
   await until(page, "the stage can be homed", () => [...document.querySelectorAll("#view-bench button")].some((one) => one.textContent === "Home" && !one.disabled));
@@ -45,6 +88,9 @@ try {
   const phone = await openPage(browser, desk.address, "#capture", { ...PHONE, deviceScaleFactor: 1 });
   await until(phone, "the last frame is shown", () => document.querySelector("#view-capture .picture img.there"));
   await shoot(phone, "phone");
+  // A tab behind another one draws nothing, and loads no pictures.
+  await phone.close();
+  await page.bringToFront();
   await untilCapture(page, "complete");
   await press(page, "#open-session");
   // Pictures are loaded when they come near the window.
@@ -54,7 +100,25 @@ try {
   });
   await page.evaluate(() => window.scrollTo(0, 0));
   await until(page, "the captured lights are there", () => [...document.querySelectorAll("#view-sessions .panel:not(.fit) .gallery img")].every((one) => one.naturalWidth > 0));
-  await shoot(page, "after");
+  await shoot(page, "after", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 860 } });
+
+  // A fit's panel, and the list with a capture that was stopped.
+  const { x, y, width } = await page.evaluate(() => {
+    document.querySelector("header").style.position = "static";
+    const { x, y, width } = document.querySelector("#view-sessions details.fit").getBoundingClientRect();
+    return { x, y: y + window.scrollY, width };
+  });
+  await shoot(page, "fit", { clip: { x, y, width, height: 560 } });
+  await startCapture(page, { sample: "red-paint-again", lights: 4 });
+  await until(page, "its second light is captured", () => document.querySelector(".lights tr:nth-child(2)")?.classList.contains("now"));
+  await press(page, "#finish");
+  await untilCapture(page, "interrupted");
+  await page.evaluate(() => (location.hash = "#sessions"));
+  await until(page, "both are listed with their pictures", () => {
+    const all = [...document.querySelectorAll("#view-sessions .thumbnail img")];
+    return all.length === 2 && all.every((one) => one.naturalWidth > 0);
+  });
+  await shoot(page, "sessions", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 400 } });
 } finally {
   await browser.close();
   await desk.stop();

@@ -35,7 +35,7 @@ const DRAWINGS = {
   stage: ["The stage: the elevation goes from 0° at the horizon to 90° straight above the sample; the azimuth goes round the sample", () => [
     path(arm, { class: "thin" }), bowl, ground, lamp(185, 47),
     path("M120 112L185 47", { class: "thin" }),
-    path("M160 112A40 40 0 0 0 148 84", { class: "span" }), text(166, 96, "elevation"),
+    path("M154 112A34 34 0 0 0 144 88", { class: "span" }), text(159, 99, "elevation"),
     path("M74 118A46 10 0 0 0 166 118", { class: "span" }), text(120, 146, "azimuth", { "text-anchor": "middle" }),
     text(120, 15, "90°", { "text-anchor": "middle" }), text(216, 116, "0°"), text(24, 116, "0°", { "text-anchor": "end" }),
   ]],
@@ -87,22 +87,22 @@ export function benchDrawing({ azimuth_deg, elevation_deg }) {
   const [x, y] = at(92, elevation_deg);
   const [ax, ay] = at(46, elevation_deg);
   const tilted = elevation_deg < 89.5;
-  const [px, py] = [232 + 30 * Math.cos(elevation_deg * rad) * Math.cos(azimuth_deg * rad), 62 - 30 * Math.cos(elevation_deg * rad) * Math.sin(azimuth_deg * rad)];
+  const [px, py] = [262 + 30 * Math.cos(elevation_deg * rad) * Math.cos(azimuth_deg * rad), 62 - 30 * Math.cos(elevation_deg * rad) * Math.sin(azimuth_deg * rad)];
   const where = tilted ? `at ${direction(azimuth_deg, elevation_deg)}` : "straight above the sample";
   return s(
     "svg",
-    { viewBox: "0 0 280 150", class: "drawing", role: "img", "aria-label": `The camera is ${where}` },
+    { viewBox: "0 0 320 150", class: "drawing", role: "img", "aria-label": `The camera is ${where}` },
     path("M14 138H206", { class: "thin" }),
     path("M84 122H92A18 18 0 0 0 128 122H136", { class: "thick" }),
     path(`M${x0} ${y0}L${x} ${y}`, { class: "thin" }),
     s("g", { transform: `translate(${x} ${y}) rotate(${(90 - elevation_deg).toFixed(1)})` }, s("rect", { x: -14, y: -24, width: 28, height: 18, class: "thick" }), s("rect", { x: -8, y: -6, width: 16, height: 10, class: "thick" })),
     path(`M${x0 + 46} ${y0}A46 46 0 0 0 ${ax} ${ay}`, { class: "span" }),
     text(x0 + 54, y0 - 6, degrees(elevation_deg)),
-    s("circle", { cx: 232, cy: 62, r: 30, class: "thin" }),
-    path("M232 62H262", { class: "thin" }),
+    s("circle", { cx: 262, cy: 62, r: 30, class: "thin" }),
+    path("M262 62H292", { class: "thin" }),
     s("circle", { cx: px.toFixed(1), cy: py.toFixed(1), r: 5, class: "lit" }),
-    text(266, 66, "0°"),
-    text(232, 106, tilted ? `azimuth ${degrees(azimuth_deg)}` : "straight above", { "text-anchor": "middle" }),
-    text(232, 22, "from above", { "text-anchor": "middle" }),
+    text(296, 66, "0°"),
+    text(262, 106, tilted ? `azimuth ${degrees(azimuth_deg)}` : "straight above", { "text-anchor": "middle" }),
+    text(262, 22, "from above", { "text-anchor": "middle" }),
   );
 }
