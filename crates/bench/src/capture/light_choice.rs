@@ -109,7 +109,7 @@ pub fn next(
 }
 
 /// The `count` directions that would add most to the lights of a session whose sample is of this
-/// material, best first.
+/// material, best first; with a `count` of 0 only what is expected without them.
 ///
 /// # Errors
 /// Files of the session that cannot be used.
@@ -130,7 +130,8 @@ pub fn after(
         .collect();
     let taken: Vec<usize> = (0..candidates.len()).collect();
     let reach = StageReach::of_rig(&config)?;
-    let spread = plan_order(&reach, Aim::of(&config.geometry), CANDIDATES, 0.0);
+    let most = if count == 0 { 0 } else { CANDIDATES };
+    let spread = plan_order(&reach, Aim::of(&config.geometry), most, 0.0);
     candidates.extend(spread.into_iter().filter(|angles| {
         let near = |other: &StageAngles| other.to_light().dot(angles.to_light()) > NEAR_COSINE;
         !record.plan.lights.iter().any(near)

@@ -40,7 +40,7 @@ pub struct Decision {
     pub is_trusted: bool,
     /// Environment error that is expected of it.
     pub expected_error: f64,
-    /// The free light that lowers it most.
+    /// The free light that lowers it most, where it was looked for.
     pub best: Option<Ranked>,
     /// Why no light follows; `None`: the best one does.
     pub stop: Option<Stop>,
@@ -66,35 +66,18 @@ pub enum Stop {
 const LEAST_GAIN: f64 = 0.05;
 
 impl Until {
-    /// Why no light follows a number of them whose frames took `spent_s`; `now` and the decision
-    /// before it, if there was one, say what to expect. A fit that is not to be trusted has not
-    /// reached anything.
-    pub fn stop(
-        &self,
-        now: &Decision,
-        before: Option<&Decision>,
-        lights: usize,
-        spent_s: f64,
-    ) -> Option<Stop> {
+    /// Why no light follows a number of them whose capture took `spent_s`, whatever it would add.
+    /// A fit that is not to be trusted has not reached anything.
+    pub fn enough(&self, now: &Decision, lights: usize, spent_s: f64) -> Option<Stop> {
         let ends_s = spent_s * (1.0 + 1.0 / lights.max(1) as f64);
-        let stops = [
-            (
-                now.is_trusted && now.expected_error <= self.error,
-                Stop::Reached,
-            ),
-            (lights >= self.max_lights as usize, Stop::MostLights),
-            (
-                self.within_s.is_some_and(|most| ends_s > most.0),
-                Stop::Time,
-            ),
-            (now.best.is_none(), Stop::NoneFree),
-            (
-                now.promises_little() && before.is_some_and(Decision::promises_little),
-                Stop::LittleGain,
-            ),
-        ];
-        let first = stops.into_iter().find(|(is_so, _)| *is_so);
-        first.map(|(_, stop)| stop)
+        if now.is_trusted && now.expected_error <= self.error {
+            Some(Stop::Reached)
+        } else if lights >= self.max_lights as usize {
+            Some(Stop::MostLights)
+        } else {
+            let is_late = self.within_s.is_some_and(|most| ends_s > most.0);
+            is_late.then_some(Stop::Time)
+        }
     }
 }
 
@@ -103,6 +86,17 @@ impl Decision {
     pub fn next(&self) -> Option<StageAngles> {
         let best = self.best.filter(|_| self.stop.is_none());
         best.map(|best| best.light)
+    }
+
+    /// Why the best light need not follow; `before` is the decision before this one.
+    pub fn futile(&self, before: Option<&Self>) -> Option<Stop> {
+        match self.best {
+            None => Some(Stop::NoneFree),
+            Some(_) => {
+                let again = before.is_some_and(Self::promises_little);
+                (again && self.promises_little()).then_some(Stop::LittleGain)
+            }
+        }
     }
 
     fn promises_little(&self) -> bool {
@@ -177,7 +171,8 @@ mod tests {
             (weak, Some(strong), 2, 10.0, None),
             (weak, Some(weak), 2, 10.0, Some(Stop::LittleGain)),
         ] {
-            let found = until.stop(&now, before.as_ref(), lights, spent_s);
+            let enough = until.enough(&now, lights, spent_s);
+            let found = enough.or_else(|| now.futile(before.as_ref()));
             assert_eq!(found, expected, "{now}, {lights} lights, {spent_s} s");
             let stopped = Decision { stop: found, ..now };
             assert_eq!(stopped.next().is_some(), found.is_none());

@@ -30,22 +30,28 @@ impl Chooser for QuickFits {
         };
         let (fit, _) = fit_captured(root, &request, &())?;
         let material = fit.material()?;
-        let found = light_choice::after(&session, &*material, 1, &mut |_| ())?;
+        let expect = |count| light_choice::after(&session, &*material, count, &mut |_| ());
+        let found = expect(0)?;
         let mut decision = Decision {
             seed: fit.settings.seed,
             is_trusted: fit.verdict() != Verdict::NotToBeTrusted,
             expected_error: MEASURED_OVER_EXPECTED * found.error,
-            best: found.next.first().map(|best| Ranked {
-                error: MEASURED_OVER_EXPECTED * best.error,
-                ..*best
-            }),
+            best: None,
             stop: None,
         };
-        let before = session.journal().decisions().last();
         let spent_s = session.journal().spent_s();
         let until = session.record().plan.until;
-        decision.stop =
-            until.and_then(|until| until.stop(&decision, before.as_ref(), found.taken, spent_s));
+        decision.stop = until.and_then(|until| until.enough(&decision, found.taken, spent_s));
+        if decision.stop.is_none() {
+            let found = expect(1)?;
+            decision.expected_error = MEASURED_OVER_EXPECTED * found.error;
+            decision.best = found.next.first().map(|best| Ranked {
+                error: MEASURED_OVER_EXPECTED * best.error,
+                ..*best
+            });
+            let before = session.journal().decisions().last();
+            decision.stop = decision.futile(before.as_ref());
+        }
         Ok(decision)
     }
 }
