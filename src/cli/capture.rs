@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::{Args, FromArgMatches};
 use serde_json::json;
 
 #[cfg(feature = "console")]
@@ -11,6 +12,7 @@ use super::capture_queue::{self, QueueRequest};
 use super::capture_run::{self, Ran};
 use super::context::Context;
 use super::error::CliError;
+use super::number::within;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
@@ -18,33 +20,43 @@ use super::table::percent;
 use super::{fit, interrupt, open, operator};
 use crate::capture::Outcome;
 use crate::capture::event_lines::EventLines;
-use crate::capture::light_choice::Ranking;
-use crate::capture::lights::{direction, lights_or_file};
+use crate::capture::lights::{MOST_CHOSEN, direction, lights_or_file, until};
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
 use crate::out;
-use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
+use crate::session::{Session, Until};
 use crate::shown::nth;
-use crate::units::{StageAngles, size};
+use crate::units::{Seconds, StageAngles, size};
 use crate::workflow::{FitWork, work_of};
 
 /// Captures a sample under several lights, then fits and reports it
 ///
 /// stdout's last line is the session's folder.
-#[derive(clap::Args, Debug)]
+#[derive(Args, Debug)]
 pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
     /// How many light directions (around the sample at several heights, past the camera's body);
     /// `all` that keep 15° between them; `best:N`, those that are most informative about an unknown material;
     /// or a file with AZ,EL in each line
-    #[arg(long, value_name = "N|all|best:N|FILE", value_parser = lights_or_file, required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
+    #[arg(long, value_name = "N|all|best:N|FILE", value_parser = lights_or_file, required_unless_present_any = ["light", "until", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
     #[arg(long, value_name = "AZ,EL", value_parser = direction, allow_hyphen_values = true, conflicts_with = "resume")]
     light: Vec<StageAngles>,
+    /// Then adds the most telling light after each until the expected environment error is at
+    /// most this, percent; without --lights it begins with one
+    #[arg(long, value_name = "PERCENT", value_parser = until, conflicts_with_all = ["resume", "queue"])]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
+    until: Option<Until>,
+    /// Lights at most, 1 to 60
+    #[arg(long, value_name = "N", requires = "until", default_value_t = MOST_CHOSEN, value_parser = clap::value_parser!(u32).range(1..=60))]
+    max_lights: u32,
+    /// Minutes on the bench at most, 0.1 to 10000
+    #[arg(long, value_name = "MIN", requires = "until", value_parser = within(0.1, 1e4))]
+    within: Option<f64>,
     /// Folder that receives the session's folder
     #[arg(
         long,
@@ -97,37 +109,24 @@ impl CaptureArgs {
     /// `--rig RIG --lights COUNT --out OUT`, with or without `--events`; the end names
     /// what a newcomer may try next.
     pub fn on_simulated_rig(rig: &str, count: usize, out: PathBuf, events: bool) -> Self {
+        let none = Self::augment_args(clap::Command::new("capture"));
+        let matches = none.get_matches_from(["capture", "--lights", &count.to_string()]);
+        let named = Self::from_arg_matches(&matches).expect("lights are all that is needed");
         Self {
             rig: RigArg {
                 rig: Some(rig.to_owned()),
             },
-            lights: Some(Lights::Count(count)),
-            light: Vec::new(),
             out,
-            sample: None,
-            material: None,
-            comment: None,
-            dry_run: false,
-            queue: None,
-            resume: None,
-            no_fit: false,
-            json: false,
             events,
             names_next: true,
-            #[cfg(feature = "console")]
-            console: ConsoleOptions::default(),
+            ..named
         }
     }
-}
 
-impl CaptureArgs {
     /// The lights that are named.
     fn named_lights(&self) -> Option<Lights> {
-        match &self.lights {
-            Some(lights) => Some(lights.clone()),
-            None if self.light.is_empty() => None,
-            None => Some(Lights::Listed(self.light.clone())),
-        }
+        let listed = || (!self.light.is_empty()).then(|| Lights::Listed(self.light.clone()));
+        self.lights.clone().or_else(listed)
     }
 }
 
@@ -186,14 +185,19 @@ fn start(
         material: args.material.clone(),
         comment: args.comment.clone(),
         only_plan: args.dry_run,
-        ..CaptureRequest::new(lights.unwrap_or(Lights::Listed(Vec::new())), &args.out)
+        until: args.until.map(|until| Until {
+            max_lights: args.max_lights,
+            within_s: args.within.map(|minutes| Seconds(60.0 * minutes)),
+            ..until
+        }),
+        ..CaptureRequest::new(lights.unwrap_or(Lights::Count(1)), &args.out)
     };
     let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));
     terminal.finish();
     let prepared = prepared?;
     if let Some(ranking) = prepared.ranking() {
-        context.note(remaining(ranking));
+        context.note(ranking.to_string());
     }
     if args.dry_run {
         let fit = work_of(&rig.config, &prepared.plan().lights)?;
@@ -222,7 +226,7 @@ fn carry_out(
     // The capture.
     let root = job.root().to_owned();
     let ran = capture_run::run(job, interrupt.clone(), context, lines);
-    let again = resume_hint(&root);
+    let again = format!("`rig capture --resume {}` continues it", root.display());
     match ran.ended {
         Ok(Outcome::Complete) => {}
         Ok(Outcome::Interrupted) => {
@@ -300,16 +304,12 @@ fn unfitted(
     }
 }
 
-fn resume_hint(root: &Path) -> String {
-    format!("`rig capture --resume {}` continues it", root.display())
-}
-
 fn print_result(args: &CaptureArgs, root: &Path, ran: &Ran) -> Result<(), CliError> {
     if args.events {
         return Ok(());
     }
     if args.json {
-        let summary = Session::open(root)?.summary();
+        let session = Session::open(root)?;
         let spent = ran.spent;
         return write_json(&json!({
             "session": root.to_string_lossy(),
@@ -318,7 +318,8 @@ fn print_result(args: &CaptureArgs, root: &Path, ran: &Ran) -> Result<(), CliErr
             "spent": spent,
             "wall_over_devices": spent.and_then(|spent| spent.over_devices()),
             "wall_over_plan": spent.and_then(|spent| spent.over_plan()),
-            "summary": summary,
+            "decision": session.journal().decisions().last(),
+            "summary": session.summary(),
         }));
     }
     write_path(root)
@@ -345,6 +346,12 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
     for (light, angles) in plan.lights.iter().enumerate() {
         out!("  {light}: {angles}", light = nth("light", light))?;
     }
+    if let Some(until) = plan.until {
+        let (enough, most) = (percent(until.error), plan.most_lights());
+        out!(
+            "then the most telling ones until the expected error is {enough}, at most {most} lights in all"
+        )?;
+    }
     out!(
         "exposures from {} to {}, each at most {} times the one before, up to {} frames of each averaged",
         rules.shortest_s,
@@ -359,22 +366,8 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
     out!(
         "about {} on the bench, {} merged images and {} for a scene of usual contrast{mark}",
         duration(plan.estimated_s.0),
-        plan.lights.len(),
+        plan.most_lights(),
         size(plan.estimated_bytes)
     )?;
     out!("then a fit: {fit}")
-}
-
-/// How much of what is unknown each of the best lights leaves.
-fn remaining(ranking: &Ranking) -> String {
-    let left: Vec<String> = ranking
-        .best
-        .iter()
-        .map(|ranked| percent(ranked.error))
-        .collect();
-    format!(
-        "best of {} directions; expected environment error after each: {}",
-        ranking.compared,
-        left.join(", ")
-    )
 }

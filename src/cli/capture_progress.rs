@@ -129,6 +129,9 @@ impl Observer for Bar<'_> {
                 self.bar.set_message("merging");
                 self.left.set(None);
             }
+            Progress::Decided(decision) => {
+                self.bar.suspend(|| self.context.note(decision.to_string()))
+            }
             Progress::Ended { spent, .. } => self.spent = *spent,
             Progress::Warning { text } => self.bar.suspend(|| self.context.warn(text)),
         }

@@ -14,6 +14,7 @@ use crate::capture::prepare::{self, Job};
 use crate::capture::{CaptureError, Outcome, Spent};
 use crate::interrupt::Interrupt;
 use crate::session::layout::QUARANTINE_FOLDER;
+use crate::workflow::QuickFits;
 
 /// An interrupted session with its devices.
 pub(super) fn resume(
@@ -72,6 +73,7 @@ pub(super) fn run(
     // Without its thread the capture obeys all the same.
     let announcing = interrupt::announcing(context, &interrupt).ok();
     let mut observers = (lines, Bar::new(context, lamps));
+    let job = job.choosing_by(Box::new(QuickFits));
     let ended = job.run(&mut observers, interrupt);
     let (_, bar) = observers;
     drop(announcing);

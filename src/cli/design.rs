@@ -7,11 +7,12 @@ use serde_json::json;
 use super::number::within;
 use super::output::{write_json, write_path};
 use super::progress::Counting;
+use super::rig_choice::RigArg;
 use super::table::{Table, percent};
 use super::{CliError, Context};
 use crate::brdf::nbrdf;
 use crate::config::scene::SceneFile;
-use crate::design::{self, Design, DesignError, DesignRequest, Limits, Reach};
+use crate::design::{self, Design, DesignError, DesignRequest, Lamp, Limits, Reach};
 use crate::inverse::expected_error::{BANDS, BANDS_DEG, ExpectedError, USUAL};
 use crate::out;
 
@@ -47,15 +48,19 @@ pub struct DesignArgs {
     /// Depth that the camera sees sharp, mm, 0.1 to 1000
     #[arg(long, value_name = "MM", default_value_t = Limits::default().depth_of_field_mm, value_parser = within(0.1, 1e3))]
     depth_of_field: f64,
-    /// Angle of the camera from the sample's axis, or a range LOW:HIGH, degrees, 0 to 75
-    #[arg(long, value_name = "DEG", default_value = "0:60", value_parser = tilt)]
-    camera_tilt: [f64; 2],
-    /// Lamps stand no lower than this over the rim, degrees, -85 to 80
-    #[arg(long, value_name = "DEG", default_value_t = Reach::default().least_elevation_deg, allow_negative_numbers = true, value_parser = within(-85.0, 80.0))]
-    least_elevation: f64,
-    /// Lamps stand no nearer to the camera's axis than this, degrees, 0 to 60
-    #[arg(long, value_name = "DEG", default_value_t = Reach::default().clearance_deg, value_parser = within(0.0, 60.0))]
-    clearance: f64,
+    /// Lamps stand where the stage of this rig file reaches, past the camera's body
+    #[arg(long, value_name = "RIG")]
+    rig: Option<String>,
+    /// Angle of the camera from the sample's axis, or a range LOW:HIGH, degrees, 0 to 75 (default
+    /// 0:60; with --rig as it stands)
+    #[arg(long, value_name = "DEG", value_parser = design::tilt_range)]
+    camera_tilt: Option<[f64; 2]>,
+    /// Lamps stand no lower than this over the rim, degrees, -85 to 80 (default 15 without --rig)
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = within(-85.0, 80.0))]
+    least_elevation: Option<f64>,
+    /// Lamps stand no nearer to the camera's axis than this, degrees, 0 to 60 (default 20 without --rig)
+    #[arg(long, value_name = "DEG", value_parser = within(0.0, 60.0))]
+    clearance: Option<f64>,
     /// Embedded materials to average over
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', default_values_t = USUAL.map(str::to_owned))]
     materials: Vec<String>,
@@ -70,17 +75,15 @@ pub struct DesignArgs {
     json: bool,
 }
 
-fn tilt(text: &str) -> Result<[f64; 2], String> {
-    let (low, high) = text.split_once(':').unwrap_or((text, text));
-    let angle = within(0.0, 75.0);
-    match [angle(low)?, angle(high)?] {
-        [low, high] if low <= high => Ok([low, high]),
-        _ => Err("the lower angle comes first, e.g. 0:60".to_owned()),
-    }
-}
-
 /// `rig design`.
 pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
+    let rig = RigArg {
+        rig: args.rig.clone(),
+    };
+    let reach = match rig.rig {
+        Some(_) => Reach::of_rig(&rig.resolve(context)?.config),
+        None => Reach::default(),
+    };
     let request = DesignRequest {
         images: args.images as usize,
         limits: Limits {
@@ -89,10 +92,11 @@ pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
             min_radius_mm: args.min_radius,
             depth_of_field_mm: args.depth_of_field,
         },
-        tilt_deg: args.camera_tilt,
+        tilt_deg: args.camera_tilt.unwrap_or_else(|| reach.tilts_deg()),
         reach: Reach {
-            least_elevation_deg: args.least_elevation,
-            clearance_deg: args.clearance,
+            least_elevation_deg: args.least_elevation.unwrap_or(reach.least_elevation_deg),
+            clearance_deg: args.clearance.unwrap_or(reach.clearance_deg),
+            ..reach
         },
         materials: args.materials.clone(),
         rounds: args.rounds,
@@ -131,14 +135,13 @@ fn search(
         "lamps (azimuth,elevation)",
     ]);
     for design in all {
-        let lamps = design.lights.iter();
-        let lamps = lamps.map(|l| format!("{:.0},{:.0}", l.azimuth_deg, l.elevation_deg));
+        let lamps: Vec<_> = design.lights.iter().map(Lamp::to_string).collect();
         table.row([
             design.name.clone(),
             format!("{:.0}°", design.camera_tilt_deg),
             percent(design.error),
             percent(design.error_held_out),
-            lamps.collect::<Vec<_>>().join(" "),
+            lamps.join(" "),
         ]);
     }
     table.print()?;

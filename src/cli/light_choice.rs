@@ -18,12 +18,12 @@ const SHOWN: usize = 5;
 pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> {
     let session = Session::open(root)?;
     let mut terminal = Terminal::new(context, None);
-    let found = light_choice::next(&session, SHOWN, &mut |notice| terminal.show(notice))?;
+    let (fit, found) = light_choice::next(&session, SHOWN, &mut |notice| terminal.show(notice))?;
     terminal.finish();
     if json {
         return write_json(&serde_json::json!({
             "session": root,
-            "fit": found.fit,
+            "fit": fit,
             "lights_taken": found.taken,
             "expected_error": found.error,
             "next": found.next,

@@ -23,3 +23,4 @@ mod resume;
 mod run;
 mod session_faults;
 mod tilted;
+mod until;

@@ -124,7 +124,7 @@ fn four_lights(folder: &Path) -> PathBuf {
 
 /// A session as a crash after so many records leaves it, with the files of `ahead` records
 /// more, in another folder.
-fn cut(reference: &Path, to: &Path, records: usize, ahead: usize) {
+pub(super) fn cut(reference: &Path, to: &Path, records: usize, ahead: usize) {
     let journal = std::fs::read(reference.join(layout::JOURNAL_FILE)).unwrap();
     let lines: Vec<&[u8]> = journal.split_inclusive(|&b| b == b'\n').collect();
     let there = Journal::parse(&lines[..(records + ahead).min(lines.len())].concat()).unwrap();

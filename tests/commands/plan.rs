@@ -53,6 +53,8 @@ fn bad_input_is_refused_before_anything_moves() {
         capture | --lights
         capture --lights none | --lights
         capture --lights 99999 | the stage reaches
+        capture --until 200% | --until
+        capture --lights 1 --max-lights 3 | --until
         capture --light 0,10 | outside the stage's limits
         capture --light 0 | --light
         capture --light 0,60 --light 0,60 | the light direction azimuth 0.000°

@@ -652,6 +652,7 @@ fn run(
         noise: &noise(),
         region_of_interest: None,
         sink: Box::new(SumSink::default()),
+        chooser: None,
         observer: &mut heard,
         interrupt,
     }

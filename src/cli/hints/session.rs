@@ -76,7 +76,7 @@ pub(super) fn for_capture(error: &CaptureError) -> Option<String> {
         OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
         NotStopped { .. } => "use the emergency stop and look whether the lamp is on; check the stage's cable and power".into(),
         Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
-        Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
+        Choice { .. } | Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
     })
 }
 

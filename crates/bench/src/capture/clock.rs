@@ -98,6 +98,15 @@ impl Clock {
         self.forget_until(now_s);
     }
 
+    /// One more light follows, to which the stage is homed anew.
+    pub(super) fn add_light(&mut self) {
+        let arrival_s = self.expected.arrivals_s.first().copied();
+        self.arrivals_left_s.push_front(arrival_s.unwrap_or(0.0));
+        self.homing_left_s = self.expected.homing_s;
+        self.lights_left += 1;
+        self.forget_until(self.now_s());
+    }
+
     /// A light's frames begin, with its pilots.
     pub(super) fn begin_light(&mut self) {
         self.lights_left = self.lights_left.saturating_sub(1);

@@ -182,6 +182,8 @@ enum MergeJob {
     Begin(u32),
     Add(Arc<RawFrame>, Box<Sidecar>),
     Finish,
+    /// Everything before this was handed to the disk when it is answered.
+    Settle(oneshot::Sender<()>),
 }
 
 /// The merge's thread; its results go to the disk's.
@@ -210,6 +212,7 @@ impl Merger {
                         sink.begin(light).map_err(fail)?;
                     }
                     MergeJob::Add(frame, sidecar) => sink.add(&frame, &sidecar).map_err(fail)?,
+                    MergeJob::Settle(settled) => drop(settled.send(())),
                     MergeJob::Finish => {
                         let bytes = sink.finish().map_err(fail)?;
                         if results
@@ -245,6 +248,19 @@ impl Merger {
 
     pub(super) async fn finish_bracket(&mut self) -> Result<(), CaptureError> {
         self.send(MergeJob::Finish).await
+    }
+
+    /// Waits until what was finished is merged and handed to the disk.
+    pub(super) async fn settle(&mut self) -> Result<(), CaptureError> {
+        let (settled, wait) = oneshot::channel();
+        self.send(MergeJob::Settle(settled)).await?;
+        match wait.await {
+            Ok(()) => Ok(()),
+            Err(_) => match (&mut self.end).await {
+                Ok(Err(error)) => Err(error),
+                _ => Err(CaptureError::WorkerGone { name: "merge" }),
+            },
+        }
     }
 
     /// Waits until every bracket was merged and handed to the disk.

@@ -174,6 +174,11 @@ impl Expected {
         let arrivals_s: f64 = self.arrivals_s.iter().sum();
         self.homing_s + arrivals_s + lights as f64 * self.light_s + self.revisit_s + self.end_s
     }
+
+    /// A light that is chosen after others, without the choice: the stage is homed anew.
+    pub fn chosen_s(&self) -> f64 {
+        self.homing_s + self.arrivals_s.first().unwrap_or(&0.0) + self.light_s
+    }
 }
 
 /// The axes turn together; the longer way counts.

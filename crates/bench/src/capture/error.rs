@@ -160,6 +160,9 @@ pub enum CaptureError {
         light: u32,
         source: super::disk::SinkError,
     },
+    /// The lights so far do not tell which one follows.
+    #[error("the next light cannot be chosen: {source}")]
+    Choice { source: super::disk::SinkError },
     /// The journalled frames lead to other decisions than the ones recorded.
     #[error("frame {frame} in the session was taken with {found}, the plan leads to {expected}")]
     OtherFrame {

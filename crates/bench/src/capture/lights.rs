@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use super::light_choice::CANDIDATES;
 use crate::outside_file;
+use crate::session::Until;
 use crate::units::StageAngles;
 
 /// Most lights that can be asked for.
@@ -43,6 +44,25 @@ impl FromStr for Lights {
                 "a number from 1 to {MOST_LIGHTS}, all, or best:N with N from 1 to {CANDIDATES}"
             )),
         }
+    }
+}
+
+/// Lights at most of a capture that chooses them, where nothing else is asked for.
+pub const MOST_CHOSEN: u32 = 12;
+
+/// An expected error that is enough, as `5%` or `5`.
+///
+/// # Errors
+/// What is expected instead.
+pub fn until(text: &str) -> Result<Until, String> {
+    let percent = text.strip_suffix('%').unwrap_or(text).trim().parse();
+    match percent {
+        Ok(percent) if (0.1..=100.0).contains(&percent) => Ok(Until {
+            error: percent / 100.0,
+            max_lights: MOST_CHOSEN,
+            within_s: None,
+        }),
+        _ => Err("a percentage from 0.1 to 100, e.g. 5%".to_owned()),
     }
 }
 
@@ -107,6 +127,15 @@ mod tests {
         for bad in ["best:0", "best:x", "best:1000"] {
             let error = bad.parse::<Lights>().unwrap_err();
             assert!(error.contains("from 1 to"), "{bad}: {error}");
+        }
+    }
+
+    #[test]
+    fn enough_is_a_percentage() {
+        assert_eq!(until("5%").unwrap().error, 0.05);
+        assert_eq!(until("2.5").unwrap().error, 0.025);
+        for bad in ["", "0", "%", "101%", "nan", "5 %%"] {
+            assert!(until(bad).is_err(), "{bad}");
         }
     }
 

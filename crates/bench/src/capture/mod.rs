@@ -52,5 +52,5 @@ pub use disk::{BracketSink, SinkError, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
 pub use progress::{DriftSpan, Ending, FrameEvent, HandWork, Observer, Outcome, Progress, Stamped};
-pub use run::Capture;
+pub use run::{Capture, Chooser};
 pub use spent::Spent;

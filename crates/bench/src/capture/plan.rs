@@ -83,6 +83,7 @@ impl PlanRequest {
             estimated_s: Seconds(0.0),
             estimated_bytes: 0,
             estimated_files: 0,
+            until: None,
             lights: Vec::new(),
         };
         Self {
@@ -135,13 +136,15 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
     let [width, height] = request.resolution_px.map(u64::from);
     let pixels = width * height;
     let mut planned = PlanRecord {
-        revisit_first: request.rules.revisit_first && lights.len() > 1,
         lights,
         ..request.rules.clone()
     };
+    let lights = planned.most_lights();
+    planned.revisit_first &= lights > 1;
     let expected = Expected::of(&planned, pixels, &request.pace, noise)?;
-    let lights = planned.lights.len();
-    planned.estimated_s = Seconds(expected.total_s(lights));
+    let chosen = (lights - planned.lights.len()) as f64;
+    let planned_s = expected.total_s(planned.lights.len());
+    planned.estimated_s = Seconds(planned_s + chosen * expected.chosen_s());
     let frames_bytes = expected.frames_per_light * (2 * pixels + FRAME_OVERHEAD_BYTES);
     // The frames of the light that is merged lie there twice.
     planned.estimated_bytes =

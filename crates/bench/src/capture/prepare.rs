@@ -29,7 +29,7 @@ use super::open::Devices;
 use super::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
 use super::reach::StageReach;
 use super::records::Records;
-use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, region_of_interest};
+use super::{Capture, CaptureError, Chooser, Observer, Outcome, RadianceSink, region_of_interest};
 use crate::calibration::Library;
 use crate::calibration::depth_of_field;
 use crate::checksum::sha256_hex;
@@ -42,7 +42,8 @@ use crate::session::commit::{SystemDisk, check_creatable};
 use crate::session::layout::{CALIBRATION_FOLDER, session_name};
 use crate::session::scene_files;
 use crate::session::{
-    CalibrationCopy, Event, NewSession, PlanRecord, Session, SessionRecord, SessionWriter, Versions,
+    CalibrationCopy, Event, NewSession, PlanRecord, Session, SessionRecord, SessionWriter, Until,
+    Versions,
 };
 use crate::transport::Scene;
 use crate::transport::visibility::{Concern, Visibility};
@@ -60,6 +61,8 @@ const SAME_LIGHT_RAD: f64 = 1.7e-5;
 pub struct CaptureRequest {
     /// Under which lights.
     pub lights: Lights,
+    /// When it has enough, where more follow that are chosen as it goes.
+    pub until: Option<Until>,
     /// Name of the sample: letters, digits, dots, hyphens, underscores. `None`: the material's
     /// name on a simulated rig, else `sample`.
     pub sample: Option<String>,
@@ -79,6 +82,7 @@ impl CaptureRequest {
     pub fn new(lights: Lights, folder: impl Into<PathBuf>) -> Self {
         Self {
             lights,
+            until: None,
             sample: None,
             material: None,
             comment: None,
@@ -153,7 +157,8 @@ pub fn prepare<'a>(
             LightChoice::Listed(lights.clone())
         }
     };
-    let plan_request = PlanRequest::of_rig(config, reach, lights);
+    let mut plan_request = PlanRequest::of_rig(config, reach, lights);
+    plan_request.rules.until = request.until;
     let planned = plan(&plan_request, &noise)?;
     check_lights(config, &planned.lights)?;
     let lights = towards_lens(config, &planned.lights);
@@ -345,6 +350,7 @@ pub struct Job {
     session: SessionWriter,
     noise: Arc<SensorNoise>,
     region_of_interest: Vec<bool>,
+    chooser: Option<Box<dyn Chooser>>,
 }
 
 impl Job {
@@ -361,7 +367,14 @@ impl Job {
             config,
             devices,
             session,
+            chooser: None,
         })
+    }
+
+    /// With the lights that follow those of the plan chosen by this.
+    pub fn choosing_by(mut self, chooser: Box<dyn Chooser>) -> Self {
+        self.chooser = Some(chooser);
+        self
     }
 
     /// The session's folder.
@@ -412,6 +425,7 @@ impl Job {
             noise: &self.noise,
             region_of_interest: Some(&self.region_of_interest),
             sink: Box::new(sink),
+            chooser: self.chooser,
             observer,
             interrupt,
         }

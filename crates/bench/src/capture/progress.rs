@@ -7,7 +7,7 @@ use super::Spent;
 use crate::device::{FrameKey, FrameKind, LampChannel, LampState};
 use crate::radiometry::exposure::BracketStep;
 use crate::session::fit_record::Verdict;
-use crate::session::utc_now;
+use crate::session::{Decision, utc_now};
 use crate::units::{Seconds, StageAngles};
 
 /// How a capture ended without an error.
@@ -162,6 +162,8 @@ pub enum Progress {
     },
     /// All frames of a light are taken; the last of them may still wait for the disk.
     LightDone { light: u32 },
+    /// Of a capture that chooses its lights: what was decided after those so far.
+    Decided(Decision),
     /// All frames are taken and the lamp is off; the last images are being merged.
     Merging,
     /// The capture is paused: lamp off, stage standing, every frame on the disk.

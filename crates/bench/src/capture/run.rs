@@ -2,6 +2,7 @@
 
 mod as_claimed;
 mod between;
+mod choosing;
 mod ending;
 mod exposure_proof;
 mod frame;
@@ -14,6 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
+pub use self::choosing::Chooser;
 use self::frame::{Reference, Shot, Taken};
 use self::stored::Stored;
 use super::bracket::{self, Decision, PilotRound};
@@ -59,6 +61,8 @@ pub struct Capture<'a> {
     pub region_of_interest: Option<&'a [bool]>,
     /// Merges each bracket.
     pub sink: Box<dyn BracketSink>,
+    /// Chooses the lights of a plan that is not fixed; without it none follows.
+    pub chooser: Option<Box<dyn Chooser>>,
     /// Is informed of the progress.
     pub observer: &'a mut dyn Observer,
     /// Polled between frames, and while waiting.
@@ -92,6 +96,7 @@ impl Capture<'_> {
             noise: self.noise,
             region_of_interest: self.region_of_interest,
             sink: self.sink,
+            chooser: self.chooser,
             observer: &mut *observer,
             interrupt: self.interrupt,
         };
@@ -161,6 +166,7 @@ impl Capture<'_> {
             plan: session.record().plan.clone(),
             noise: self.noise,
             region_of_interest: self.region_of_interest,
+            chooser: self.chooser,
             observer: self.observer,
             interrupt: self.interrupt,
             devices,
@@ -238,6 +244,7 @@ struct Run<'a> {
     lights: usize,
     noise: &'a SensorNoise,
     region_of_interest: Option<&'a [bool]>,
+    chooser: Option<Box<dyn Chooser>>,
     observer: &'a mut dyn Observer,
     interrupt: Interrupt,
     devices: Devices,
@@ -283,13 +290,15 @@ impl Run<'_> {
         let seconds = self.clock.left_s();
         self.observer.observe(&Progress::Left { seconds });
         let unmerged = missing_radiance(&self.session);
-        for light in 0..self.lights as u32 {
+        let mut light = 0;
+        while light < self.lights as u32 || self.another_follows().await? {
             if !self.session.light_is_finished(light) {
                 self.one_light(light).await?;
             } else if unmerged.contains(&light) {
                 self.merge_again(light).await?;
             }
             self.observer.observe(&Progress::LightDone { light });
+            light += 1;
         }
         self.revisit_first_light().await?;
         self.check_reference().await?;

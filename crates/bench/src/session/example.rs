@@ -75,6 +75,7 @@ pub fn plan() -> PlanRecord {
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
         estimated_files: 0,
+        until: None,
         lights: vec![StageAngles::new(10.0, 80.0); 2],
     }
 }

@@ -17,6 +17,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::SessionError;
+use super::decision::Decision;
 use super::layout::{self, JOURNAL_FILE};
 use crate::checksum::sha256_hex;
 use crate::device::FrameKey;
@@ -101,6 +102,8 @@ pub enum Event {
     },
     /// All frames of a light direction are journalled.
     LightStop { light: u32 },
+    /// Of a capture that chooses its lights: what was decided after those so far.
+    Decision(Decision),
     /// Something that a reader of the session should know.
     Warning {
         /// Index of the light direction in the plan.
@@ -266,6 +269,25 @@ impl Journal {
         self.records.iter().any(|r| r.event == Event::Stop)
     }
 
+    /// What was decided after the lights, in order.
+    pub fn decisions(&self) -> impl Iterator<Item = Decision> {
+        self.records.iter().filter_map(|record| match record.event {
+            Event::Decision(decision) => Some(decision),
+            _ => None,
+        })
+    }
+
+    /// Time on the bench: between the records, but for what was between two runs.
+    pub fn spent_s(&self) -> f64 {
+        let time = |record: &Record| record.utc.parse::<jiff::Timestamp>().ok();
+        let between = |pair: &[Record]| match pair[1].event {
+            Event::Resume { .. } => None,
+            _ => Some(time(&pair[1])?.duration_since(time(&pair[0])?)),
+        };
+        let spans = self.records.windows(2).filter_map(between);
+        spans.map(|span| span.as_secs_f64().max(0.0)).sum()
+    }
+
     /// How far off each axis was where the stage was found to have lost steps,
     /// degrees or mm as the axis has it; `None` where it was not. Such a session
     /// is suspect: nobody knows when they were lost.
@@ -341,6 +363,8 @@ impl Record {
 mod tests {
     use super::*;
     use crate::device::FrameKind;
+    use crate::session::Ranked;
+    use crate::units::StageAngles;
     use proptest::prelude::*;
 
     fn example() -> Vec<u8> {
@@ -361,6 +385,16 @@ mod tests {
                 sidecar: FileDigest::of("raw/a.toml", b"sidecar"),
             },
             Event::LightStop { light: 0 },
+            Event::Decision(Decision {
+                seed: 1,
+                is_trusted: true,
+                expected_error: 0.07,
+                best: Some(Ranked {
+                    light: StageAngles::new(-40.0, 35.5),
+                    error: 0.05,
+                }),
+                stop: None,
+            }),
             Event::ClockStep { by_s: 1.5e9 },
             Event::Reference {
                 off: [0.0125, -1.5],
@@ -394,7 +428,9 @@ mod tests {
     fn what_is_written_is_read() {
         let bytes = example();
         let journal = Journal::parse(&bytes).unwrap();
-        assert_eq!(journal.records.len(), 13);
+        assert_eq!(journal.records.len(), 14);
+        assert_eq!(journal.decisions().count(), 1);
+        assert_eq!(journal.spent_s(), 0.0);
         assert_eq!(journal.torn_bytes, 0);
         assert!(journal.is_complete());
         assert_eq!(journal.files().len(), 4);

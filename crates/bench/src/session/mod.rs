@@ -26,6 +26,7 @@
 pub mod archive;
 pub(crate) mod captured_rig;
 pub mod commit;
+mod decision;
 pub mod drift;
 mod error;
 #[doc(hidden)]
@@ -42,6 +43,7 @@ pub mod validation;
 pub mod verify;
 
 pub use captured_rig::{SceneFileError, scene_files};
+pub use decision::{Decision, Ranked, Stop, Until};
 pub use drift::{LampDrift, REVISIT_ROUND};
 pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};

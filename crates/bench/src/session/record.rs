@@ -7,6 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::SessionError;
+use super::decision::Until;
 use crate::device::temperature::TemperatureLimits;
 use crate::device::{CameraInfo, LampChannel, StageInfo};
 use crate::units::{Seconds, StageAngles};
@@ -181,8 +182,19 @@ pub struct PlanRecord {
     /// Estimated number of its files; not kept.
     #[serde(skip)]
     pub estimated_files: u64,
+    /// When it has enough lights, where the others are chosen as it goes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<Until>,
     /// Light directions in the order of capture.
     pub lights: Vec<StageAngles>,
+}
+
+impl PlanRecord {
+    /// Lights that the capture has at most.
+    pub fn most_lights(&self) -> usize {
+        let bound = self.until.map_or(0, |until| until.max_lights as usize);
+        self.lights.len().max(bound)
+    }
 }
 
 /// What decides the exposures of a bracket.

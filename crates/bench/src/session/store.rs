@@ -62,9 +62,11 @@ impl Session {
         let path = root.join(&session.path);
         let bytes = journalled::read_within(root, session, LARGEST_RECORD_BYTES)?;
         let text = str::from_utf8(&bytes).map_err(|e| SessionError::malformed(&path, e))?;
-        let record: SessionRecord =
+        let mut record: SessionRecord =
             toml::from_str(text).map_err(|e| SessionError::malformed(&path, e))?;
         record.check(&path)?;
+        let chosen = journal.decisions().filter_map(|decision| decision.next());
+        record.plan.lights.extend(chosen);
         Ok(Self {
             root: root.to_owned(),
             record,
@@ -77,7 +79,7 @@ impl Session {
         &self.root
     }
 
-    /// `session.toml`.
+    /// `session.toml`, its plan with the lights that were chosen since.
     pub fn record(&self) -> &SessionRecord {
         &self.record
     }

@@ -149,7 +149,7 @@ fn glare_remark(record: &Record<GlareValues>) -> String {
     )
 }
 
-fn fit_captured(
+pub(super) fn fit_captured(
     root: &Path,
     request: &FitRequest,
     observer: &dyn Observer,

@@ -17,6 +17,7 @@
 
 mod bench_records;
 mod cell_images;
+mod closed_loop;
 mod error;
 mod facets;
 mod fit_course;
@@ -49,6 +50,7 @@ pub use crate::config::scene_concern::{DescribedIn, SceneConcern, extent_in_imag
 pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
 pub use cell_images::UNSTATED_NOISE;
+pub use closed_loop::{MEASURED_OVER_EXPECTED, QuickFits};
 pub use error::WorkflowError;
 pub use facets::{coarse_facets, remark_on_facets};
 pub use fit_images::{ImageFit, NamedImage, fit_images, fit_images_in_memory};

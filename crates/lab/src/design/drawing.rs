@@ -85,14 +85,11 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
     let words = format!("camera, {tilt_deg:.1}° from the axis");
     ray(90.0 - tilt_deg, -1.0, "#1f5fbf", &words);
     for lamp in &design.lights {
-        let (azimuth, elevation) = (lamp.azimuth_deg, lamp.elevation_deg);
-        let side = if azimuth.to_radians().cos() < -1e-9 {
-            -1.0
-        } else {
-            1.0
-        };
+        let (azimuth, elevation) = (lamp.angles.azimuth_deg, lamp.angles.elevation_deg);
+        let to_light = lamp.to_light();
+        let side = if to_light.x < -1e-9 { -1.0 } else { 1.0 };
         let words = format!("lamp {azimuth:.0}°, {elevation:.0}°");
-        ray(elevation, side, "#c07000", &words);
+        ray(to_light.z.asin().to_degrees(), side, "#c07000", &words);
     }
     text + "</svg>\n"
 }

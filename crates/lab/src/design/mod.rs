@@ -18,58 +18,22 @@ use crate::inverse::expected_error::{
 };
 use crate::progress::Progress;
 use crate::random::{Purpose, Stream, stream};
-use crate::transport::{Camera, Light, Projection, Scene, Shading};
+use crate::transport::{Camera, Projection, Scene, Shading};
 use crate::units::StageAngles;
 
 mod drawing;
 pub mod profile;
+mod reach;
 mod written;
 
 pub use profile::{Limits, Profile};
+pub use reach::{Bench, Lamp, Reach};
 pub use written::{WriteError, write};
 
 use profile::HEIGHTS;
 
 /// Materials that take no part in a search.
 pub const HELD_OUT: [&str; 4] = ["alum-bronze", "pvc", "delrin", "gold-metallic-paint"];
-
-/// Where lamps can stand.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
-pub struct Reach {
-    /// No lower than this over the rim's plane, degrees.
-    pub least_elevation_deg: f64,
-    /// No nearer to the camera's axis than this, degrees: its body is there, and light from beside
-    /// it shines into the lens.
-    pub clearance_deg: f64,
-}
-
-impl Default for Reach {
-    fn default() -> Self {
-        Self {
-            least_elevation_deg: 15.0,
-            clearance_deg: 20.0,
-        }
-    }
-}
-
-impl Reach {
-    /// Free directions up to an azimuth, in steps, for a camera in the direction `to_camera`.
-    fn lamps(&self, to_camera: DVec3, widest_deg: f64, step_deg: f64) -> Vec<StageAngles> {
-        let steps = |from: f64, to: f64| {
-            let count = ((to - from) / step_deg).floor().max(0.0) as usize;
-            (0..=count).map(move |k| from + k as f64 * step_deg)
-        };
-        let nearest = self.clearance_deg.to_radians().cos();
-        let of_elevation = |elevation: f64| {
-            let widest = if elevation > 89.0 { 0.0 } else { widest_deg };
-            steps(0.0, widest).map(move |azimuth| StageAngles::new(azimuth, elevation))
-        };
-        steps(self.least_elevation_deg, 90.0)
-            .flat_map(of_elevation)
-            .filter(|lamp| lamp.to_light().dot(to_camera) <= nearest)
-            .collect()
-    }
-}
 
 /// What is searched for.
 #[derive(Clone, Debug)]
@@ -92,12 +56,24 @@ pub struct DesignRequest {
     pub seed: u64,
 }
 
+/// Angles of a camera from the sample's axis, degrees, as `LOW:HIGH` or one.
+///
+/// # Errors
+/// What is expected instead.
+pub fn tilt_range(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = text.split_once(':').unwrap_or((text, text));
+    match [low, high].map(|text| text.trim().parse()) {
+        [Ok(low), Ok(high)] if 0.0 <= low && low <= high && high <= 75.0 => Ok([low, high]),
+        _ => Err("not an angle in 0 to 75, or two with the lower one first, e.g. 0:60".to_owned()),
+    }
+}
+
 impl Default for DesignRequest {
     fn default() -> Self {
         Self {
             images: 4,
             limits: Limits::default(),
-            tilt_deg: [0.0, 60.0],
+            tilt_deg: Reach::default().tilts_deg(),
             reach: Reach::default(),
             materials: USUAL.map(str::to_owned).to_vec(),
             rounds: 8,
@@ -112,10 +88,10 @@ impl Default for DesignRequest {
 pub struct Design {
     /// What tables call it.
     pub name: String,
-    /// Angle of the camera from the sample's axis, degrees, towards azimuth 180°.
+    /// Angle of the camera from the sample's axis, degrees.
     pub camera_tilt_deg: f64,
     /// Lamps, the most telling first.
-    pub lights: Vec<StageAngles>,
+    pub lights: Vec<Lamp>,
     /// Geometric mean of the materials that took part.
     pub error: f64,
     /// Of those that took none.
@@ -173,6 +149,8 @@ const LAMP_STEP_DEG: f64 = 30.0;
 const FINER: f64 = 2.0;
 /// Side of the view, in radii.
 const VIEW: f64 = 2.2;
+/// Where a tilted camera stands that is no bench's, degrees.
+const CAMERA_AZIMUTH_DEG: f64 = 180.0;
 
 /// Searches.
 ///
@@ -288,10 +266,9 @@ pub fn lights_only(
     request: &DesignRequest,
 ) -> Result<Vec<ChosenLamp>, DesignError> {
     let materials = subjects(&request.materials)?;
-    let to_camera = scene.camera.sample_from_camera.direction(-DVec3::Z);
-    let free = request.reach.lamps(to_camera, 359.0, LAMP_STEP_DEG / FINER);
+    let free = request.reach.lamps(&scene, LAMP_STEP_DEG / FINER);
     let free = enough(free, request.images)?;
-    scene.lights = free.iter().map(parallel).collect();
+    scene.lights = free.iter().map(|lamp| lamp.light).collect();
     let options = PredictionOptions {
         seed: request.seed,
         ..PredictionOptions::default()
@@ -300,19 +277,10 @@ pub fn lights_only(
     let chosen = prospects.greedy(&[], request.images).into_iter();
     Ok(chosen
         .map(|choice| ChosenLamp {
-            light: free[choice.candidate],
+            light: free[choice.candidate].angles,
             error: choice.error,
         })
         .collect())
-}
-
-/// Light of unit irradiance from there.
-fn parallel(lamp: &StageAngles) -> Light {
-    Light::Directional {
-        to_light: lamp.to_light(),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    }
 }
 
 /// A point of the search: heights in radii, then the tilt in degrees.
@@ -399,13 +367,14 @@ impl<'a> Search<'a> {
         let profile = Profile::through(&heights(point)).flattened(&request.limits, tilt_deg);
         let [pixels, segments] = SEARCH;
         let mesh = profile.mesh(request.limits.radius_mm, segments)?;
-        let lamps = self.lamps(tilt_deg, LAMP_STEP_DEG)?;
+        let mut scene = request.scene(mesh, tilt_deg, pixels);
+        let lamps = self.lamps(&scene, tilt_deg, LAMP_STEP_DEG)?;
+        scene.lights = lamps.iter().map(|lamp| lamp.light).collect();
         let options = PredictionOptions {
             samples_per_cell: SEARCH_PATHS,
             seed: request.seed,
             ..PredictionOptions::default()
         };
-        let scene = scene(mesh, request.limits.radius_mm, tilt_deg, pixels, &lamps);
         let prospects = Prospects::new(scene, &self.subjects, &options)?;
         let choices = prospects.greedy(&[], request.images);
         Ok(choices.last().map_or(f64::INFINITY, |last| last.error))
@@ -414,17 +383,19 @@ impl<'a> Search<'a> {
     /// With the best lamps of a finer grid, by other paths than those of the search.
     fn judged(&self, name: &str, mesh: Mesh, tilt_deg: f64) -> Result<Design, DesignError> {
         let request = self.request;
-        let lamps = self.lamps(tilt_deg, LAMP_STEP_DEG / FINER)?;
+        let place = |lamps: &[Lamp]| {
+            let mut scene = request.scene(mesh.clone(), tilt_deg, FINAL[0]);
+            scene.lights = lamps.iter().map(|lamp| lamp.light).collect();
+            scene
+        };
+        let lamps = self.lamps(&place(&[]), tilt_deg, LAMP_STEP_DEG / FINER)?;
         let options = PredictionOptions {
             seed: request.seed.wrapping_add(1),
             ..PredictionOptions::default()
         };
-        let radius_mm = request.limits.radius_mm;
-        let place =
-            |lamps: &[StageAngles]| scene(mesh.clone(), radius_mm, tilt_deg, FINAL[0], lamps);
         let prospects = Prospects::new(place(&lamps), &self.subjects, &options)?;
         let chosen = prospects.greedy(&[], request.images);
-        let chosen: Vec<StageAngles> = chosen.iter().map(|c: &Choice| lamps[c.candidate]).collect();
+        let chosen: Vec<Lamp> = chosen.iter().map(|c: &Choice| lamps[c.candidate]).collect();
         let all: Vec<usize> = (0..chosen.len()).collect();
         let again = PredictionOptions {
             seed: request.seed.wrapping_add(2),
@@ -445,18 +416,22 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Free directions. Sample and camera are mirror images of themselves at azimuth 0; on the axis
-    /// all azimuths are alike.
-    fn lamps(&self, tilt_deg: f64, step_deg: f64) -> Result<Vec<StageAngles>, DesignError> {
-        let request = self.request;
-        let widest_deg = if tilt_deg < 1.0 { 0.0 } else { 180.0 };
-        let to_camera = StageAngles::new(180.0, 90.0 - tilt_deg).to_light();
-        let free = request.reach.lamps(to_camera, widest_deg, step_deg);
+    /// Free places. Without a bench sample and camera are mirror images of themselves at azimuth
+    /// 0, and on the axis a single lamp may stand at any azimuth.
+    fn lamps(&self, scene: &Scene, tilt_deg: f64, step_deg: f64) -> Result<Vec<Lamp>, DesignError> {
+        let Self { request, .. } = self;
+        let widest_deg = match tilt_deg < ON_AXIS_DEG && request.images == 1 {
+            _ if request.reach.bench.is_some() => 360.0,
+            true => 0.0,
+            false => 180.0,
+        };
+        let mut free = request.reach.lamps(scene, step_deg);
+        free.retain(|lamp| lamp.angles.azimuth_deg <= widest_deg);
         enough(free, request.images)
     }
 }
 
-fn enough(free: Vec<StageAngles>, images: usize) -> Result<Vec<StageAngles>, DesignError> {
+fn enough(free: Vec<Lamp>, images: usize) -> Result<Vec<Lamp>, DesignError> {
     let lamps = free.len();
     match lamps < images {
         true => Err(DesignError::TooFewLamps { images, lamps }),
@@ -468,26 +443,34 @@ fn heights(point: &Point) -> [f64; HEIGHTS] {
     std::array::from_fn(|k| point[k])
 }
 
-/// The camera at azimuth 180°, tilted from the sample's axis, aimed at a height on it.
-fn camera(height_mm: f64, radius_mm: f64, tilt_deg: f64, pixels: u32) -> Camera {
-    let middle_mm = height_mm * DVec3::Z;
-    let to_camera = StageAngles::new(180.0, 90.0 - tilt_deg).to_light();
-    let up = if tilt_deg < 1.0 { DVec3::Y } else { DVec3::Z };
-    Camera::looking_at(
-        [pixels as usize; 2],
-        Projection::Orthographic {
-            extent_mm: DVec2::splat(VIEW * radius_mm),
-        },
-        middle_mm + 10.0 * radius_mm * to_camera,
-        middle_mm,
-        up,
-    )
-    .expect("up is across the view")
-}
+/// Tilts of the camera below this count as none, degrees.
+const ON_AXIS_DEG: f64 = 1.0;
 
-fn scene(mesh: Mesh, radius_mm: f64, tilt_deg: f64, pixels: u32, lamps: &[StageAngles]) -> Scene {
-    let [low, high] = mesh.bounds_mm().map(|corner| f64::from(corner.z));
-    let camera = camera(0.5 * (low + high), radius_mm, tilt_deg, pixels);
-    let lights = lamps.iter().map(parallel).collect();
-    Scene::new(mesh, Shading::Smooth, camera, lights)
+impl DesignRequest {
+    /// A sample before its camera, which is tilted from the sample's axis and aimed at the middle
+    /// of its height; without lamps.
+    fn scene(&self, mesh: Mesh, tilt_deg: f64, pixels: u32) -> Scene {
+        let [low, high] = mesh.bounds_mm().map(|corner| f64::from(corner.z));
+        let middle_mm = 0.5 * (low + high) * DVec3::Z;
+        let radius_mm = self.limits.radius_mm;
+        let bench = self.reach.bench.as_ref();
+        let azimuth_deg = bench.and_then(Bench::camera_azimuth_deg);
+        let azimuth_deg = azimuth_deg.unwrap_or(CAMERA_AZIMUTH_DEG);
+        let distance_mm = bench.map_or(10.0 * radius_mm, Bench::camera_distance_mm);
+        let to_camera = StageAngles::new(azimuth_deg, 90.0 - tilt_deg).to_light();
+        let up = match tilt_deg < ON_AXIS_DEG {
+            true => DVec3::Y,
+            false => DVec3::Z,
+        };
+        let extent_mm = DVec2::splat(VIEW * radius_mm);
+        let camera = Camera::looking_at(
+            [pixels as usize; 2],
+            Projection::Orthographic { extent_mm },
+            middle_mm + distance_mm * to_camera,
+            middle_mm,
+            up,
+        );
+        let camera = camera.expect("up is across the view");
+        Scene::new(mesh, Shading::Smooth, camera, Vec::new())
+    }
 }

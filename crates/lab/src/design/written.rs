@@ -3,9 +3,11 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use super::{DesignRequest, FINAL, Found, VIEW, drawing};
+use glam::DVec3;
+
+use super::{DesignRequest, FINAL, Found, Lamp, VIEW, drawing};
 use crate::geometry::{Mesh, MeshError, files};
-use crate::units::StageAngles;
+use crate::transport::Light;
 use crate::whole_file;
 
 /// Why a design could not be written.
@@ -58,7 +60,7 @@ pub fn write(
         "compared_with": found.others,
     });
     let texts = [
-        ("scene.toml", scene(found, &mesh, request)),
+        ("scene.toml", scene(found, mesh, request)),
         ("lights.txt", lights(&found.design.lights)),
         ("drawing.svg", drawing::svg(found, request)),
         ("design.json", format!("{figures:#}\n")),
@@ -73,39 +75,48 @@ pub fn write(
 }
 
 /// Lamps as `rig capture --lights FILE` reads them.
-pub fn lights(lights: &[StageAngles]) -> String {
+fn lights(lights: &[Lamp]) -> String {
     let mut text = "# azimuth, elevation, degrees\n".to_owned();
     for lamp in lights {
-        let _ = writeln!(text, "{},{}", lamp.azimuth_deg, lamp.elevation_deg);
+        let _ = writeln!(
+            text,
+            "{},{}",
+            lamp.angles.azimuth_deg, lamp.angles.elevation_deg
+        );
     }
     text
 }
 
-fn scene(found: &Found, mesh: &Mesh, request: &DesignRequest) -> String {
-    let radius_mm = request.limits.radius_mm;
+fn scene(found: &Found, mesh: Mesh, request: &DesignRequest) -> String {
     let tilt_deg = found.design.camera_tilt_deg;
-    let [low, high] = mesh.bounds_mm().map(|corner| f64::from(corner.z));
-    let height_mm = 0.5 * (low + high);
-    let camera = super::camera(height_mm, radius_mm, tilt_deg, FINAL[0]);
-    let place = camera.sample_from_camera.point(glam::DVec3::ZERO);
-    let up = if tilt_deg < 1.0 {
-        "[0, 1, 0]"
-    } else {
-        "[0, 0, 1]"
-    };
+    let camera = request.scene(mesh, tilt_deg, FINAL[0]).camera;
+    let place = camera.sample_from_camera;
     let mut text = format!(
         "[camera]\nmodel = \"orthographic\"\nresolution_px = [64, 64]\nextent_mm = [{extent}, {extent}]\n\
-         position_mm = {:?}\nlook_at_mm = [0, 0, {height_mm}]\nup = {up}\n\n\
+         position_mm = {:?}\nlook_at_mm = {:?}\nup = {:?}\n\n\
          [sample]\nmesh = \"sample.ply\"\nshading = \"smooth\"\n",
-        place.to_array(),
-        extent = VIEW * radius_mm,
+        place.point(DVec3::ZERO).to_array(),
+        place.point(camera.focus_mm * DVec3::Z).to_array(),
+        place.direction(-DVec3::Y).to_array(),
+        extent = VIEW * request.limits.radius_mm,
     );
     for lamp in &found.design.lights {
-        let _ = write!(
-            text,
-            "\n[[light]]\nkind = \"directional\"\nto_light = {:?}\n",
-            lamp.to_light().to_array()
-        );
+        let light = match lamp.light {
+            Light::Directional { to_light, .. } => {
+                format!(
+                    "kind = \"directional\"\nto_light = {:?}\n",
+                    to_light.to_array()
+                )
+            }
+            Light::Point {
+                position_mm,
+                intensity_mm2,
+            } => format!(
+                "kind = \"point\"\nposition_mm = {:?}\nintensity = {intensity_mm2:?}\n",
+                position_mm.to_array()
+            ),
+        };
+        let _ = write!(text, "\n[[light]]\n{light}");
     }
     text
 }

@@ -209,6 +209,11 @@ impl CaptureState {
                     light.state = LightState::Done;
                 }
             }
+            Decided(decision) => {
+                let index = self.lights.len();
+                let next = decision.next();
+                self.lights.extend(next.map(|at| Light::to_come(index, at)));
+            }
             Merging => self.state = Phase::Merging,
             Paused => {
                 if self.state != Phase::Paused {
