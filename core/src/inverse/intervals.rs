@@ -77,9 +77,9 @@ pub fn table(
 /// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
 /// excess error of the images. Images show the material's discrepancies from the dictionary only
 /// where they look; towards grazing angles they look least and dictionaries of
-/// microfacet lobes fail most. Calibrated on measured materials (docs/adr/0006).
+/// microfacet lobes fail most. Calibrated on measured materials (docs/measurements/intervals.md).
 pub fn unexplained_deviation(excess_error: f64, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
-    let grazing = 0.03 * (theta_d_deg / 25.0).exp() + 0.35 * (theta_h_deg / 85.0).powi(6);
+    let grazing = 0.03 * (theta_d_deg / 40.0).exp() + 0.6 * (theta_h_deg / 85.0).powi(8);
     let peak = 0.04 * (-theta_h_deg / 3.0).exp();
     DEVIATION_PER_MEDIAN * (excess_error / TYPICAL_EXCESS_ERROR).min(1.0) * (grazing + peak)
 }
