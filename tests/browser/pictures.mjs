@@ -114,9 +114,9 @@ try {
   await press(page, "#finish");
   await untilCapture(page, "interrupted");
   await page.evaluate(() => (location.hash = "#sessions"));
-  await until(page, "both are listed with their pictures", () => {
-    const all = [...document.querySelectorAll("#view-sessions .thumbnail img")];
-    return all.length === 2 && all.every((one) => one.naturalWidth > 0);
+  await until(page, "both are listed, with their pictures", () => {
+    const pictures = [...document.querySelectorAll("#view-sessions .thumbnail img")];
+    return document.querySelectorAll("#view-sessions .thumbnail").length === 2 && pictures.every((one) => one.naturalWidth > 0);
   });
   await shoot(page, "sessions", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 400 } });
 } finally {

@@ -115,7 +115,8 @@ async function load(image) {
   if (!image.isConnected) return;
   try {
     const blob = await askPicture(image.dataset.from);
-    if (!blob) return;
+    // Such as of a light that is not merged yet.
+    if (!blob) return image.remove();
     const url = URL.createObjectURL(blob);
     image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
     image.src = url;
