@@ -5,7 +5,6 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::process::ExitStatus;
 use std::sync::mpsc::{self, Sender};
-use std::time::Duration;
 
 use super::console_address::show_address;
 use super::context::Context;
@@ -88,9 +87,6 @@ fn parse_host_name(text: &str) -> Result<String, String> {
         false => Err("a name alone, as bench.example.org: letters, digits, hyphens and dots, without http:// and port; `*` stands for nothing".to_owned()),
     }
 }
-
-/// The answers of a console that another one follows have so long.
-const LAST_ANSWERS: Duration = Duration::from_millis(200);
 
 /// `rig console`.
 pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
@@ -182,9 +178,11 @@ fn serve(
         suspend: interrupt::suspend,
     };
     let is_capture = work.is_some();
-    let (mut captured, mut is_first) = (None, true);
+    let (mut captured, mut is_first, mut before) = (None, true, None);
     loop {
         let console = Console::start(&subject, server.again()?, &around)?;
+        // It answers what was asked of it; the new one is there for who comes meanwhile.
+        drop(before.take());
         if is_first {
             show_address(&server.address(), context)?;
         }
@@ -192,9 +190,8 @@ fn serve(
         is_first = false;
         if let Ok(Then::Bench(rig, named)) = then {
             console.close(|| false, &around);
-            // The page that chose gets its answer.
-            std::thread::sleep(LAST_ANSWERS);
             (subject.rig, subject.named) = (*rig, named);
+            before = Some(console);
             continue;
         }
         console.close(|| around.is_urgent(), &around);

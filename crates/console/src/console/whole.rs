@@ -289,8 +289,9 @@ impl Console {
                         break;
                     }
                 }
-                // A job may have begun since the page was answered: the bench is its own.
-                Ok(Woken::Chosen(..)) if ending.is_some() || self.jobs.running().is_some() => {}
+                // A job may have begun since the page was answered: the bench is its own. One that
+                // began from now on would be in nobody's hands.
+                Ok(Woken::Chosen(..)) if ending.is_some() || !self.jobs.close_if_idle() => {}
                 Ok(Woken::Chosen(rig, named)) => return Ok(Then::Bench(rig, named)),
                 Ok(Woken::Signal(number)) if number == suspends => {
                     // The lamp must not stay on while nobody watches over it.

@@ -117,8 +117,8 @@ pub enum JobError {
     /// There is one already.
     #[error("{} is running", .0.what())]
     Busy(Kind),
-    /// The console is ending.
-    #[error("the console is ending")]
+    /// The console is ending, as it does before one of another bench takes its place.
+    #[error("the console is ending, or another bench was chosen")]
     Ending,
     /// The console's own bench does not let go of the devices.
     #[error("{fact}")]
@@ -484,6 +484,14 @@ impl Jobs {
     /// No job starts any more.
     pub fn close(&self) {
         locked(&self.0.run).is_closed = true;
+    }
+
+    /// No job starts any more, unless one runs or is about to; whether that is so.
+    pub fn close_if_idle(&self) -> bool {
+        let mut run = locked(&self.0.run);
+        let is_idle = run.kind.is_none();
+        run.is_closed |= is_idle;
+        is_idle
     }
 
     /// Passes signals on to the job that runs, if any. Never waits for it.

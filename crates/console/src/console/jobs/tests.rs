@@ -89,9 +89,11 @@ fn there_is_one_job_at_a_time_and_none_at_the_end() {
     let refused = jobs.start(work(Kind::Capture, &["capture"])).unwrap_err();
     assert_eq!(refused.to_string(), "a fit is running");
     assert!(!jobs.is_capturing());
+    // As when a page chooses another bench.
+    assert!(!jobs.close_if_idle());
     jobs.stop();
     assert!(jobs.wait().unwrap().signal().is_some());
-    jobs.close();
+    assert!(jobs.close_if_idle());
     let refused = jobs.start(work(Kind::Fit, &["fit"])).unwrap_err();
     assert!(matches!(refused, JobError::Ending), "{refused}");
     let (_folder, jobs, _) = self::jobs("");
