@@ -188,7 +188,7 @@ fn record(estimate: &Mixture) -> FitRecord {
 pub(super) fn synthetic() -> ReportInput {
     let (estimate, truth) = (mixture(0.0), mixture(0.03));
     let exposure = |ms: f64, frames| ExposureInput {
-        lamp_channel: None,
+        lamp: None,
         exposure: Seconds(ms / 1e3),
         frames,
     };
