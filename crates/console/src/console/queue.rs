@@ -4,7 +4,6 @@
 //! The queue is opened for each request alone. What a capture or a fit has come to meanwhile it
 //! finds in the sessions.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use axum::Json;
