@@ -333,6 +333,7 @@ fn a_whole_session_has_every_section() {
     assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
     let predicted = [
         "light 1 (derived&#x2f;radiance_L000.exr) was fitted",
+        "<figcaption>light 2",
         ">11.5%<",
         "95.1%",
     ];
