@@ -159,6 +159,8 @@ pub const TARGETS: &[Target] = &[
         256,
     ),
     target("queue", queue, 4096),
+    target("sample_table", sample_table, 256),
+    target("batch", batch, 4096),
     target(
         "camera_program",
         |bytes| {
@@ -364,6 +366,39 @@ fn queue(bytes: &[u8]) {
     if let Ok(queue) = rig::queue::Queue::open(&file, folder.path()) {
         drop(queue.step());
     }
+}
+
+/// A table of samples; the list that is made of it can be read.
+fn sample_table(bytes: &[u8]) {
+    text(bytes, |table| {
+        if let Ok(list) = rig::queue::list_of_table(table, true) {
+            toml::from_str::<toml::Table>(&list).expect("a list");
+        }
+    });
+}
+
+/// The jobs of a batch and a list of sessions, with a line of two hyphens between. Jobs of another
+/// version are read as if they were of this one.
+fn batch(bytes: &[u8]) {
+    use rig::batch::{Batch, BatchError, JOBS_FILE, NewBatch};
+    let text = String::from_utf8_lossy(bytes);
+    let (jobs, list) = text.split_once("\n--\n").unwrap_or((&text, ""));
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let parse = |_: &[String]| Ok(rig::workflow::FitRequest::default());
+    let open = |jobs: &str| {
+        std::fs::write(folder.path().join(JOBS_FILE), jobs).expect("a temporary file");
+        Batch::open(folder.path(), &parse)
+    };
+    if let Err(BatchError::OtherVersion { then, now, .. }) = open(jobs) {
+        drop(open(&jobs.replacen(&then, &now, 1)));
+    }
+    let file = folder.path().join("list.toml");
+    std::fs::write(&file, list).expect("a temporary file");
+    let new = NewBatch {
+        list: Some(&file),
+        ..NewBatch::default()
+    };
+    drop(Batch::make(&folder.path().join("new"), &new, &parse));
 }
 
 fn text(bytes: &[u8], parse: impl FnOnce(&str)) {

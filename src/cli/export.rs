@@ -102,7 +102,9 @@ fn record(args: &ExportArgs) -> Result<(FitRecord, Option<String>), CliError> {
         None => Ok((fit_record::read(dir)?, None)),
     };
     found().map_err(|error| match (args.fit, &error) {
-        (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
+        (Some(_), FitRecordError::NoFit { .. }) if args.dir.exists() => {
+            CliError::from(error).hint(LATEST_FIT)
+        }
         _ => error.into(),
     })
 }

@@ -131,6 +131,7 @@ fn bad_input_is_one_line_and_a_hint() {
         r#"
         check nbrdf:gold | no embedded material "gold"
         check gold | "gold" is no BRDF
+        check pvc | hint: the embedded material is nbrdf:pvc
         check ggx:2,1.5 | alpha 2
         check missing.binary | missing.binary
         check junk.binary | at least 12

@@ -16,6 +16,10 @@ pub fn advise(error: MaterialError) -> CliError {
     match error {
         MaterialError::Fit(error) => error.into(),
         MaterialError::Brdf(error) => match &error {
+            BrdfError::UnknownSource { spec, .. } if nbrdf::NAMES.contains(&spec.as_str()) => {
+                let hint = format!("the embedded material is nbrdf:{spec}");
+                CliError::from(error).hint(hint)
+            }
             BrdfError::UnknownSource { .. }
             | BrdfError::Dictionary { .. }
             | BrdfError::Weights { .. } => {

@@ -2,6 +2,7 @@
 //! interrupted queue goes on where it was.
 //!
 //! - [`SampleList`]: the file that names the samples;
+//! - [`list_of_table`]: such a file from a table of samples;
 //! - [`Queue`]: the next [`Step`], and what was done, in a journal next to the sessions;
 //! - [`QueueError`]: what can be wrong with either.
 //!
@@ -29,10 +30,12 @@ mod journal;
 mod list;
 pub mod overview;
 mod state;
+mod table;
 mod work;
 
 pub use error::QueueError;
 pub use journal::JOURNAL_ENDING;
 pub use list::{Sample, SampleList};
 pub use state::{Entry, Omission, Queue, RunState, Step, Unreadable};
+pub use table::{TableError, list_of_table};
 pub use work::{Answer, Fitted, Question, Worker, carry_out};

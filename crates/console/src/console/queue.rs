@@ -4,7 +4,6 @@
 //! The queue is opened for each request alone. What a capture or a fit has come to meanwhile it
 //! finds in the sessions.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use axum::Json;
@@ -21,9 +20,8 @@ use super::jobs::{Jobs, Kind, Work, capture, option, without_fit};
 use super::refusal::{Accepted, Refusal, accepted};
 use super::request::Asked;
 use crate::capture::prepare::Lights;
-use crate::queue::{Queue, QueueError, Sample, SampleList, Step};
-use crate::session::layout::is_sample_name;
-use rig_core::{outside_table, whole_file};
+use crate::queue::{Queue, QueueError, Sample, SampleList, Step, TableError, list_of_table};
+use rig_core::whole_file;
 
 /// The list of samples in the console's folder.
 pub const LIST_FILE: &str = "samples.toml";
@@ -37,6 +35,16 @@ impl From<QueueError> for Refusal {
             _ => return Refusal::conflict(error.to_string()),
         };
         Refusal::conflict(error.to_string()).hint(hint.to_owned())
+    }
+}
+
+impl From<TableError> for Refusal {
+    fn from(error: TableError) -> Self {
+        let refusal = Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, error.to_string());
+        match error {
+            TableError::Name { .. } => refusal.hint("1 to 64 letters, digits, dots, hyphens or underscores, the first a letter or digit".to_owned()),
+            _ => refusal,
+        }
     }
 }
 
@@ -127,83 +135,26 @@ struct Added {
 
 async fn add(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Added>) -> Shown {
     let done = move || {
-        let samples = samples_in(&form.text)?;
-        append(&jobs, &samples, form.again)?;
+        append(&jobs, &list_of_table(&form.text, form.again)?)?;
         Ok::<_, Refusal>(shown(&needed(&jobs)?))
     };
     Ok(Json(blocking(done).await??))
 }
 
-/// A sample as a table names it: name, material, comment, repeats.
-type Named = [String; 4];
-
-/// The samples of a table (comma, semicolon or tab): its first row may name the columns `name`
-/// or `sample`, `material`, `comment` and `repeats`; else they stand in this order.
-fn samples_in(text: &str) -> Result<Vec<Named>, Refusal> {
-    let unfit = |fact: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact);
-    let mut rows = outside_table::rows(text).map_err(|error| unfit(error.to_string()))?;
-    let mut columns = [Some(0), Some(1), Some(2), Some(3)];
-    if let Some(head) = rows.first()
-        && let Some(name) = head.column("name").or_else(|| head.column("sample"))
-    {
-        let others = ["material", "comment", "repeats"].map(|name| head.column(name));
-        columns = [Some(name), others[0], others[1], others[2]];
-        rows.remove(0);
-    }
-    let field = |row: &outside_table::Row, column: Option<usize>| {
-        column.map_or(String::new(), |column| row.field(column).trim().to_owned())
-    };
-    let samples = rows
-        .iter()
-        .map(|row| columns.map(|column| field(row, column)));
-    let samples: Vec<Named> = samples.filter(|named| !named[0].is_empty()).collect();
-    if samples.is_empty() {
-        return Err(unfit("no sample is named".to_owned()));
-    }
-    for [name, .., repeats] in &samples {
-        if !is_sample_name(name) {
-            let hint = "1 to 64 letters, digits, dots, hyphens or underscores, the first a letter or digit";
-            return Err(unfit(format!("{name:?} is no name of a sample")).hint(hint.to_owned()));
-        }
-        if !repeats.is_empty() && repeats.parse::<u8>().is_err() {
-            return Err(unfit(format!(
-                "{name}: {repeats:?} is no number of repeats"
-            )));
-        }
-    }
-    Ok(samples)
-}
-
 /// Adds the samples at the end of the list, whose text otherwise stays as it is.
-fn append(jobs: &Jobs, samples: &[Named], again: bool) -> Result<(), Refusal> {
+fn append(jobs: &Jobs, samples: &str) -> Result<(), Refusal> {
     let path = Path::new(LIST_FILE);
     let before = match std::fs::symlink_metadata(path) {
         Ok(_) => rig_core::outside_file::read_text(path, 1 << 20)
             .map_err(|error| Refusal::conflict(format!("{LIST_FILE}: {error}")))?,
         Err(_) => String::new(),
     };
-    let mut text = before.clone();
-    for [name, material, comment, repeats] in samples {
-        let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
-        let gap = if text.is_empty() { "" } else { "\n" };
-        let _ = write!(text, "{gap}[[sample]]\nname = {}\n", quoted(name));
-        for (key, value) in [("material", material), ("comment", comment)] {
-            if !value.is_empty() {
-                let _ = writeln!(text, "{key} = {}", quoted(value));
-            }
-        }
-        if !repeats.is_empty() {
-            let _ = writeln!(text, "repeats = {repeats}");
-        }
-        if again {
-            text += "again = true\n";
-        }
-    }
+    let gap = if before.is_empty() { "" } else { "\n" };
     let write = |text: &str| {
         whole_file::replace(path, |out| out.write_all(text.as_bytes()))
             .map_err(|error| Refusal::failed(format!("{LIST_FILE}: {error}")))
     };
-    write(&text)?;
+    write(&format!("{before}{gap}{samples}"))?;
     // A name that is taken, or a note that is too long: the list stays as it was.
     let checked = SampleList::read(path, |_| None).map(drop);
     let opened = checked.and_then(|()| Queue::open(path, &jobs.program().folder).map(drop));
@@ -367,36 +318,4 @@ async fn again(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Show
         Ok::<_, Refusal>(shown(&queue))
     };
     Ok(Json(blocking(done).await??))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_table_or_a_scanner_names_samples() {
-        let names = |text: &str| -> Result<Vec<String>, String> {
-            let samples = samples_in(text).map_err(|refusal| refusal.error)?;
-            Ok(samples.iter().map(|named| named.join("|")).collect())
-        };
-        for (text, expected) in [
-            ("cup", &["cup|||"][..]),
-            ("cup\nbowl-7\n", &["cup|||", "bowl-7|||"]),
-            ("a,red paint,matte,3", &["a|red paint|matte|3"]),
-            (
-                "Comment;Name;Repeats\nx;cup;2\n;jar;\n",
-                &["cup||x|2", "jar|||"],
-            ),
-            ("sample\tmaterial\ncup\t\"red, new\"\n", &["cup|red, new||"]),
-        ] {
-            assert_eq!(
-                names(text).as_deref(),
-                Ok(&expected.iter().map(|s| s.to_string()).collect::<Vec<_>>()[..]),
-                "{text}"
-            );
-        }
-        for bad in ["", "name\n", "a b", "-x", "cup,,,many", "../x"] {
-            assert!(names(bad).is_err(), "{bad}");
-        }
-    }
 }

@@ -261,6 +261,11 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
 /// their sidecars give them.
 fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadError> {
     let several = session.record().plan.channels.len() > 1;
+    let measures = session.rig().map_or(Vec::new(), |rig| rig.stage.measures);
+    let colour = |channel: u8| {
+        let known = measures.get(usize::from(channel));
+        known.map_or("lamp", |measures| measures.colour())
+    };
     let mut found: Vec<ExposureInput> = Vec::new();
     for frame in session.frames() {
         if frame.key.light != light || frame.key.kind != FrameKind::Light {
@@ -274,18 +279,18 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
         if sidecar.pilot {
             continue;
         }
-        let lamp_channel = match sidecar.lamp {
-            LampState::On(channel) if several => Some(channel.0),
+        let lamp = match sidecar.lamp {
+            LampState::On(channel) if several => Some((channel.0, colour(channel.0))),
             _ => None,
         };
         let exposure = sidecar.applied.exposure;
         match found
             .iter_mut()
-            .find(|e| e.exposure == exposure && e.lamp_channel == lamp_channel)
+            .find(|e| e.exposure == exposure && e.lamp == lamp)
         {
             Some(known) => known.frames += 1,
             None => found.push(ExposureInput {
-                lamp_channel,
+                lamp,
                 exposure,
                 frames: 1,
             }),

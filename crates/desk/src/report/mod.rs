@@ -159,8 +159,8 @@ pub struct LightInput {
 
 /// One entry of a light's bracket.
 pub struct ExposureInput {
-    /// The lamp's channel; `None` for a lamp of one colour.
-    pub lamp_channel: Option<u8>,
+    /// The lamp's channel and its colour; `None` for a lamp of one channel.
+    pub lamp: Option<(u8, &'static str)>,
     /// Exposure of one frame.
     pub exposure: Seconds,
     /// Frames averaged.

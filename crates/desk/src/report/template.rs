@@ -89,7 +89,7 @@ fn validation_view(validation: &ValidationInput) -> Value {
         headings,
         rows,
         pictures => values(&validation.pictures, |(light, png)| context! {
-            light,
+            light => light + 1,
             image => image(*light),
             uri => png_data_uri(png),
         }),
@@ -183,19 +183,16 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Va
 
 /// One line per lamp channel: `0.50 ms × 8`, `4.00 ms × 2`.
 fn exposures(light: &LightInput) -> Vec<Vec<String>> {
-    let mut channels: Vec<Option<u8>> = light.exposures.iter().map(|e| e.lamp_channel).collect();
-    channels.sort();
-    channels.dedup();
-    let line = |channel: &Option<u8>| {
-        let name = channel.map(|channel| format!("lamp {channel}:"));
-        let entries = light
-            .exposures
-            .iter()
-            .filter(|e| e.lamp_channel == *channel);
+    let mut lamps: Vec<_> = light.exposures.iter().map(|e| e.lamp).collect();
+    lamps.sort();
+    lamps.dedup();
+    let line = |lamp: &Option<(u8, &str)>| {
+        let name = lamp.map(|(_, colour)| format!("{colour}:"));
+        let entries = light.exposures.iter().filter(|e| e.lamp == *lamp);
         let entries = entries.map(|e| format!("{} ms × {}", short(e.exposure.0 * 1e3), e.frames));
         name.into_iter().chain(entries).collect()
     };
-    channels.iter().map(line).collect()
+    lamps.iter().map(line).collect()
 }
 
 fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<Value, ReportError> {

@@ -188,7 +188,7 @@ fn record(estimate: &Mixture) -> FitRecord {
 pub(super) fn synthetic() -> ReportInput {
     let (estimate, truth) = (mixture(0.0), mixture(0.03));
     let exposure = |ms: f64, frames| ExposureInput {
-        lamp_channel: None,
+        lamp: None,
         exposure: Seconds(ms / 1e3),
         frames,
     };
@@ -333,6 +333,7 @@ fn a_whole_session_has_every_section() {
     assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
     let predicted = [
         "light 1 (derived&#x2f;radiance_L000.exr) was fitted",
+        "<figcaption>light 2",
         ">11.5%<",
         "95.1%",
     ];

@@ -7,6 +7,9 @@ import { attempt, blocked, working } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
 import { state, watch } from "./stream.js";
 
+/** What the benches that are not files of the folder are for. */
+const BUILT_IN = { simulated: "without devices", "rehearsal-flat": "to practise calibrations" };
+
 /** The two panels; `load()` reads the list again, `known(name)` is the bench of this name or file. */
 export function benchesPart() {
   const list = h("ul", { class: "benches" });
@@ -42,7 +45,7 @@ export function benchesPart() {
     return h(
       "li",
       { "aria-current": one.in_use ? "true" : null },
-      h("div", {}, h("strong", {}, one.name ?? one.rig), one.can_edit || one.name !== one.rig ? h("code", {}, ` ${one.rig}`) : h("span", { class: "fine" }, " built in, without devices"), is ? h("span", { class: "mark" }, is) : null, one.error ? h("p", { class: "error" }, capital(one.error)) : null),
+      h("div", {}, h("strong", {}, one.name ?? one.rig), BUILT_IN[one.rig] ? h("span", { class: "fine" }, ` built in, ${BUILT_IN[one.rig]}`) : h("code", {}, ` ${one.rig}`), is ? h("span", { class: "mark" }, is) : null, one.error ? h("p", { class: "error" }, capital(one.error)) : null),
       h("div", { class: "row" }, one.error && !one.in_use ? null : use, one.can_edit ? h("button", { type: "button", "aria-label": `Edit ${one.rig}`, onclick: () => editor.open(one.rig) }, "Edit") : null),
     );
   }

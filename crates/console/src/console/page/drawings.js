@@ -79,30 +79,31 @@ function drawn(known) {
   return s("svg", { viewBox: "0 0 280 150", class: "drawing", role: "img", "aria-label": about }, parts().map((one) => one.cloneNode(true)));
 }
 
-/** The bench from the side and from above, with its camera in this direction as seen from the sample. */
+/** The bench from the side, with azimuth 0° on the right, and from above; its camera in this direction as seen from the sample. */
 export function benchDrawing({ azimuth_deg, elevation_deg }) {
   const rad = Math.PI / 180;
-  const [x0, y0] = [110, 122];
-  const at = (r, elevation) => [x0 + r * Math.cos(elevation * rad), y0 - r * Math.sin(elevation * rad)].map((v) => v.toFixed(1));
-  const [x, y] = at(92, elevation_deg);
-  const [ax, ay] = at(46, elevation_deg);
+  const [x0, y0] = [96, 122];
   const tilted = elevation_deg < 89.5;
-  const [px, py] = [262 + 30 * Math.cos(elevation_deg * rad) * Math.cos(azimuth_deg * rad), 62 - 30 * Math.cos(elevation_deg * rad) * Math.sin(azimuth_deg * rad)];
+  const side = tilted && Math.cos(azimuth_deg * rad) < 0 ? -1 : 1;
+  const at = (r, elevation) => [x0 + side * r * Math.cos(elevation * rad), y0 - r * Math.sin(elevation * rad)].map((v) => v.toFixed(1));
+  const [x, y] = at(72, elevation_deg);
+  const [ax, ay] = at(46, elevation_deg);
+  const [px, py] = [232 + 30 * Math.cos(elevation_deg * rad) * Math.cos(azimuth_deg * rad), 62 - 30 * Math.cos(elevation_deg * rad) * Math.sin(azimuth_deg * rad)];
   const where = tilted ? `at ${direction(azimuth_deg, elevation_deg)}` : "straight above the sample";
   return s(
     "svg",
-    { viewBox: "0 0 320 150", class: "drawing", role: "img", "aria-label": `The camera is ${where}` },
-    path("M14 138H206", { class: "thin" }),
-    path("M84 122H92A18 18 0 0 0 128 122H136", { class: "thick" }),
+    { viewBox: "0 0 280 150", class: "drawing", role: "img", "aria-label": `The camera is ${where}` },
+    path("M6 138H186", { class: "thin" }),
+    path("M70 122H78A18 18 0 0 0 114 122H122", { class: "thick" }),
     path(`M${x0} ${y0}L${x} ${y}`, { class: "thin" }),
-    s("g", { transform: `translate(${x} ${y}) rotate(${(90 - elevation_deg).toFixed(1)})` }, s("rect", { x: -14, y: -24, width: 28, height: 18, class: "thick" }), s("rect", { x: -8, y: -6, width: 16, height: 10, class: "thick" })),
-    path(`M${x0 + 46} ${y0}A46 46 0 0 0 ${ax} ${ay}`, { class: "span" }),
-    text(x0 + 54, y0 - 6, degrees(elevation_deg)),
-    s("circle", { cx: 262, cy: 62, r: 30, class: "thin" }),
-    path("M262 62H292", { class: "thin" }),
+    s("g", { transform: `translate(${x} ${y}) rotate(${(side * (90 - elevation_deg)).toFixed(1)})` }, s("rect", { x: -14, y: -24, width: 28, height: 18, class: "thick" }), s("rect", { x: -8, y: -6, width: 16, height: 10, class: "thick" })),
+    path(`M${x0 + side * 46} ${y0}A46 46 0 0 ${side > 0 ? 0 : 1} ${ax} ${ay}`, { class: "span" }),
+    text(x0 + side * 54, y0 - 6, degrees(elevation_deg), { "text-anchor": side > 0 ? "start" : "end" }),
+    s("circle", { cx: 232, cy: 62, r: 30, class: "thin" }),
+    path("M232 62H262", { class: "thin" }),
     s("circle", { cx: px.toFixed(1), cy: py.toFixed(1), r: 5, class: "lit" }),
-    text(296, 66, "0°"),
-    text(262, 106, tilted ? `azimuth ${degrees(azimuth_deg)}` : "straight above", { "text-anchor": "middle" }),
-    text(262, 22, "from above", { "text-anchor": "middle" }),
+    text(266, 66, "0°"),
+    text(232, 106, tilted ? `azimuth ${degrees(azimuth_deg)}` : "straight above", { "text-anchor": "middle" }),
+    text(232, 22, "from above", { "text-anchor": "middle" }),
   );
 }

@@ -3,10 +3,12 @@
 import { ask } from "./api.js";
 import { facts, h, panel, redraw } from "./dom.js";
 import { short, when } from "./format.js";
+import { capturing } from "./header.js";
 import { complain } from "./notices.js";
 import { slowPicture } from "./picture.js";
-import { resumeButtons } from "./running.js";
-import { badge, done, latest, quality, sessionBadge } from "./verdict.js";
+import { resumeButtons, sessionName } from "./running.js";
+import { state } from "./stream.js";
+import { badge, done, latest, quality } from "./verdict.js";
 import { workPanel } from "./work.js";
 
 /** The address of a file of a session. */
@@ -29,6 +31,14 @@ export function gallery(session, pictures, kind = "") {
 export function warningList(warnings) {
   if (!warnings?.length) return h("p", { class: "fine" }, "No warnings.");
   return h("ul", { class: "warnings" }, warnings.map((warning) => h("li", { class: "warn" }, warning.what ?? String(warning), warning.likely_cause ? h("div", { class: "fine" }, `Likely: ${warning.likely_cause}`) : null)));
+}
+
+/** The verdict of a session's latest fit, or why it has none. */
+export function sessionBadge(session) {
+  if (session.error) return h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read");
+  if (session.complete) return badge(latest(session));
+  if (capturing() && sessionName(state.capture?.session) === session.name) return h("span", { class: "badge none" }, "being captured");
+  return h("span", { class: "badge incomplete", title: "The capture is not complete; it can be resumed." }, "interrupted");
 }
 
 /** The part of the view; `load(name)` shows a session. */

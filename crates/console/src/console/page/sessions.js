@@ -6,9 +6,9 @@ import { gate, h, redraw, say } from "./dom.js";
 import { short, when } from "./format.js";
 import { complain } from "./notices.js";
 import { slowPicture } from "./picture.js";
-import { fileOf, sessionPart } from "./session.js";
+import { fileOf, sessionBadge, sessionPart } from "./session.js";
 import { state, watch } from "./stream.js";
-import { done, latest, quality, sessionBadge } from "./verdict.js";
+import { done, latest, quality } from "./verdict.js";
 
 const WAIT_MS = 250;
 /** Fits that are compared at once. */

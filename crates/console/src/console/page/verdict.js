@@ -39,10 +39,3 @@ export function done(session) {
   const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
   return session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights}`;
 }
-
-/** Its latest fit's verdict, or how far it came. */
-export function sessionBadge(session) {
-  if (session.error) return h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read");
-  if (!session.complete) return h("span", { class: "badge incomplete", title: "The capture is not complete; it can be resumed." }, done(session));
-  return badge(latest(session));
-}
