@@ -141,14 +141,8 @@ impl Reach {
         };
         let place = |azimuth_deg: f64, elevation_deg: f64| {
             let angles = StageAngles::new(azimuth_deg, elevation_deg);
-            Lamp {
-                angles,
-                light: Light::Directional {
-                    to_light: angles.to_light(),
-                    irradiance: [1.0; 3],
-                    angular_radius_rad: 0.0,
-                },
-            }
+            let light = Light::distant(angles.to_light(), [1.0; 3]);
+            Lamp { angles, light }
         };
         let of_elevation = |elevation: f64| {
             let widest = if elevation > 89.0 { 0.0 } else { 359.0 };
