@@ -17,6 +17,7 @@
 
 mod bench_records;
 mod cell_images;
+#[cfg(target_os = "linux")]
 mod closed_loop;
 mod error;
 mod facets;
@@ -50,6 +51,7 @@ pub use crate::config::scene_concern::{DescribedIn, SceneConcern, extent_in_imag
 pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
 pub use cell_images::UNSTATED_NOISE;
+#[cfg(target_os = "linux")]
 pub use closed_loop::{MEASURED_OVER_EXPECTED, QuickFits};
 pub use error::WorkflowError;
 pub use facets::{coarse_facets, remark_on_facets};
