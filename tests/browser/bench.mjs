@@ -124,8 +124,8 @@ export async function until(page, what, condition, ...given) {
   const end = Date.now() + PATIENCE_MS;
   for (;;) {
     const value = await page.evaluate(condition, ...given).catch((error) => {
-      // The page is loaded anew, as it is for another bench.
-      if (!/context was destroyed|Cannot find context/.test(error.message)) throw error;
+      // The page is loaded anew, as it is for another bench, and does not show all yet.
+      if (!/context was destroyed|Cannot find context|properties of null/.test(error.message)) throw error;
       return false;
     });
     if (value) return value;
