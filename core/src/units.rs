@@ -29,6 +29,16 @@ impl std::fmt::Display for Seconds {
     }
 }
 
+/// A relative figure in per cent with two significant digits: `0.34%`, `3.4%`, `34%`.
+pub fn percent(part: f64) -> String {
+    let percent = 100.0 * part;
+    match percent.abs() {
+        9.95.. => format!("{percent:.0}%"),
+        0.995.. => format!("{percent:.1}%"),
+        _ => format!("{percent:.2}%"),
+    }
+}
+
 /// A number of bytes for people, with two digits or more: `320 B`, `9.7 MB`, `69 GB`.
 pub fn size(bytes: u64) -> String {
     let bytes = bytes as f64;
@@ -131,6 +141,12 @@ mod tests {
                 "elevation {elevation_deg}"
             );
         }
+    }
+
+    #[test]
+    fn parts_have_two_digits() {
+        let shown = [0.0034, 0.034, 0.34, 1.0, 0.0].map(percent);
+        assert_eq!(shown, ["0.34%", "3.4%", "34%", "100%", "0.00%"]);
     }
 
     #[test]

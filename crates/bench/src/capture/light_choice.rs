@@ -16,7 +16,7 @@ use crate::inverse::expected_error::{
 };
 pub use crate::session::Ranked;
 use crate::session::{Session, fit_record};
-use crate::units::StageAngles;
+use crate::units::{StageAngles, percent};
 
 /// Directions that are compared: the first of the evenly spread ones.
 pub const CANDIDATES: usize = 60;
@@ -39,9 +39,7 @@ impl std::fmt::Display for Ranking {
             out,
             "best of {compared} directions; expected environment error after each: "
         )?;
-        let left = best
-            .iter()
-            .map(|best| format!("{:.1}%", 100.0 * best.error));
+        let left = best.iter().map(|best| percent(best.error));
         out.write_str(&left.collect::<Vec<_>>().join(", "))
     }
 }

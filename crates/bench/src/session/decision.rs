@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::units::{Seconds, StageAngles};
+use crate::units::{Seconds, StageAngles, percent};
 
 /// When a capture has enough lights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,7 +119,6 @@ impl fmt::Display for Stop {
 
 impl fmt::Display for Decision {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let percent = |error: f64| format!("{:.1}%", 100.0 * error);
         let expected = percent(self.expected_error);
         write!(out, "expected environment error {expected}")?;
         if !self.is_trusted {
