@@ -256,10 +256,7 @@ impl Merger {
         self.send(MergeJob::Settle(settled)).await?;
         match wait.await {
             Ok(()) => Ok(()),
-            Err(_) => match (&mut self.end).await {
-                Ok(Err(error)) => Err(error),
-                _ => Err(CaptureError::WorkerGone { name: "merge" }),
-            },
+            Err(_) => Err(self.why_gone().await),
         }
     }
 
@@ -271,14 +268,19 @@ impl Merger {
             .unwrap_or(Err(CaptureError::WorkerGone { name: "merge" }))
     }
 
+    /// The thread has ended before its time, and why is the error.
+    async fn why_gone(&mut self) -> CaptureError {
+        match (&mut self.end).await {
+            Ok(Err(error)) => error,
+            _ => CaptureError::WorkerGone { name: "merge" },
+        }
+    }
+
     async fn send(&mut self, job: MergeJob) -> Result<(), CaptureError> {
         let _step = self.watchdog.step(LONGEST_WAIT);
         match self.jobs.send(job).await {
             Ok(()) => Ok(()),
-            Err(_) => match (&mut self.end).await {
-                Ok(Err(error)) => Err(error),
-                _ => Err(CaptureError::WorkerGone { name: "merge" }),
-            },
+            Err(_) => Err(self.why_gone().await),
         }
     }
 }

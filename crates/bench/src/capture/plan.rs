@@ -9,7 +9,7 @@ use super::duration::Expected;
 pub use super::pace::Pace;
 use super::reach::StageReach;
 use crate::config::RigConfig;
-use crate::device::{CameraInfo, LampChannel};
+use crate::device::{CameraInfo, LampChannel, manual};
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::{free_bytes, free_files};
 use crate::session::{ExposureRules, PlanRecord};
@@ -77,7 +77,7 @@ impl PlanRequest {
             settings_latency_frames: rig.camera.settings_latency_frames,
             revisit_first: capture
                 .revisit_first
-                .unwrap_or(rig.stage.driver_name() != "manual"),
+                .unwrap_or(rig.stage.driver_name() != manual::DRIVER),
             stage_tolerance_deg: rig.stage.position_tolerance_deg().unwrap_or(0.0),
             limits: rig.limits.temperature,
             estimated_s: Seconds(0.0),

@@ -11,7 +11,7 @@ use super::reader::Section;
 use crate::device::dome::DomeConfig;
 use crate::device::grbl::GrblConfig;
 use crate::device::kinematics::Kinematics;
-use crate::device::manual::ManualConfig;
+use crate::device::manual::{self, ManualConfig};
 use crate::device::zaber::ZaberConfig;
 use crate::units::Seconds;
 
@@ -93,7 +93,7 @@ impl StageConfig {
             StageDriver::Simulated(_) => "simulated",
             StageDriver::Grbl(_) => "grbl",
             StageDriver::Zaber(_) => "zaber",
-            StageDriver::Manual(_) => "manual",
+            StageDriver::Manual(_) => manual::DRIVER,
             StageDriver::Dome(_) => "dmx",
         }
     }
