@@ -1,4 +1,4 @@
-// Screenshots of the console for the documents, and its drawings: pictures.mjs FOLDER
+// Screenshots of the console for the documents, and its drawings: pictures.mjs FOLDER [drawings]
 
 import { statSync } from "node:fs";
 import path from "node:path";
@@ -9,10 +9,10 @@ const folder = process.argv[2];
 const place = await workplace({ small: false });
 const [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
 
-/** A PNG of the window, checked against the size that the documentation allows. */
-async function shoot(page, name, about = {}) {
-  const file = path.join(folder, `console-${name}.png`);
-  await page.screenshot({ path: file, ...about });
+/** A PNG of a window or an element, checked against the size that the documentation allows. */
+async function shoot(shown, name, about = {}) {
+  const file = path.join(folder, `${name}.png`);
+  await shown.screenshot({ path: file, ...about });
   const { size } = statSync(file);
   if (size > MOST_BYTES) throw new Error(`${file} has ${size} bytes, more than ${MOST_BYTES}`);
   console.log(`${file}: ${size} bytes`);
@@ -36,14 +36,12 @@ async function shootDrawings(page, name, columns, drawings) {
     }
   }, columns, drawings);
   const sheet = await page.$("#sheet");
-  const file = path.join(folder, `${name}.png`);
-  await sheet.screenshot({ path: file });
+  await shoot(sheet, name);
   await sheet.evaluate((element) => element.remove());
-  console.log(`${file}: ${statSync(file).size} bytes`);
 }
 
-try {
-  // The drawings, twice as large as on the page.
+/** All drawings. */
+async function drawings() {
   const sheets = await openPage(browser, desk.address, "#setup", { width: 1100, height: 900, deviceScaleFactor: 1.5 });
   await shootDrawings(sheets, "bench-cameras", 2, [
     ["benchDrawing", { azimuth_deg: 0, elevation_deg: 90 }, "Camera on the axis"],
@@ -60,8 +58,10 @@ try {
   const targets = { sensor: "Sensor, flat field", lamp: "Lamp", white: "White standard", camera: "Lens", focus: "Focus", glare: "Glare", lights: "Lights", pose: "Pose of the sample" };
   await shootDrawings(sheets, "calibration-targets", 3, Object.entries(targets).map(([kind, title]) => ["targetDrawing", kind, title]));
   await sheets.close();
-  if (process.argv[3] === "drawings") process.exit();
+}
 
+/** All screenshots of the console. */
+async function screenshots() {
   const page = await openPage(browser, desk.address, "#bench", { ...LAPTOP, height: 1000 });
   await press(page, "#view-bench .devices button");
   await until(page, "the stage can be homed", () => [...document.querySelectorAll("#view-bench button")].some((one) => one.textContent === "Home" && !one.disabled));
@@ -79,15 +79,15 @@ try {
   // The simulated bench renders the light's new direction first.
   await until(page, "the lit sample is shown", () => Number(document.querySelector("#view-bench .two").innerText.match(/mean (\d+)/)?.[1]) > 150 && !document.querySelector("#view-bench .picture").classList.contains("stale"));
   await new Promise((resolve) => setTimeout(resolve, 1500));
-  await shoot(page, "bench");
+  await shoot(page, "console-bench");
 
   await startCapture(page, { sample: "red-paint", lights: 4, fit: true });
   await until(page, "the second light is captured", () => document.querySelector('.lights tr:nth-child(2)')?.classList.contains("now") && document.querySelector(".picture img.there"));
   await new Promise((resolve) => setTimeout(resolve, 2500));
-  await shoot(page, "during");
+  await shoot(page, "console-during");
   const phone = await openPage(browser, desk.address, "#capture", { ...PHONE, deviceScaleFactor: 1 });
   await until(phone, "the last frame is shown", () => document.querySelector("#view-capture .picture img.there"));
-  await shoot(phone, "phone");
+  await shoot(phone, "console-phone");
   // A tab behind another one draws nothing, and loads no pictures.
   await phone.close();
   await page.bringToFront();
@@ -100,7 +100,7 @@ try {
   });
   await page.evaluate(() => window.scrollTo(0, 0));
   await until(page, "the captured lights are there", () => [...document.querySelectorAll("#view-sessions .panel:not(.fit) .gallery img")].every((one) => one.naturalWidth > 0));
-  await shoot(page, "after", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 860 } });
+  await shoot(page, "console-after", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 860 } });
 
   // A fit's panel, and the list with a capture that was stopped.
   const { x, y, width } = await page.evaluate(() => {
@@ -108,7 +108,7 @@ try {
     const { x, y, width } = document.querySelector("#view-sessions details.fit").getBoundingClientRect();
     return { x, y: y + window.scrollY, width };
   });
-  await shoot(page, "fit", { clip: { x, y, width, height: 560 } });
+  await shoot(page, "console-fit", { clip: { x, y, width, height: 560 } });
   await startCapture(page, { sample: "red-paint-again", lights: 4 });
   await until(page, "its second light is captured", () => document.querySelector(".lights tr:nth-child(2)")?.classList.contains("now"));
   await press(page, "#finish");
@@ -118,7 +118,12 @@ try {
     const pictures = [...document.querySelectorAll("#view-sessions .thumbnail img")];
     return document.querySelectorAll("#view-sessions .thumbnail").length === 2 && pictures.every((one) => one.naturalWidth > 0);
   });
-  await shoot(page, "sessions", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 400 } });
+  await shoot(page, "console-sessions", { clip: { x: 0, y: 0, width: LAPTOP.width, height: 400 } });
+}
+
+try {
+  await drawings();
+  if (process.argv[3] !== "drawings") await screenshots();
 } finally {
   await browser.close();
   await desk.stop();
