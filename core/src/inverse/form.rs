@@ -120,7 +120,6 @@ pub(super) mod tests {
     use super::*;
     use crate::brdf::dictionary::{Atom, Dictionary};
     use crate::cells::{Captured, CellOptions};
-
     use crate::inverse::options::FitOptions;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;

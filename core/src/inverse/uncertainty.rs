@@ -66,8 +66,8 @@ pub struct Adds<'a> {
     pub discrepancy: &'a [Eliminated],
 }
 
-/// Draws `count` weights from the posterior of each channel group, around `mixture`;
-/// [`draw_prior`] adds those of the prior.
+/// Draws `count` samples of each channel group's weights from their posterior distribution, which
+/// lies around the fitted `mixture`; [`draw_prior`] adds samples of the prior.
 pub fn draw(
     dictionary: &Dictionary,
     mixture: &[DVector<f64>],

@@ -114,7 +114,7 @@ pub enum Records {
 /// ```
 /// # use glam::{DVec2, DVec3};
 /// # use rig_core::geometry::Shape;
-/// # use rig_core::transport::{Camera, Light, Projection, Scene, Shading};
+/// # use rig_core::transport::{Camera, Light, Scene, Shading};
 /// # let camera = Camera::above([8, 8], DVec2::splat(16.0), 100.0);
 /// # let light = Light::distant(DVec3::Z, [1.0; 3]);
 /// # let bowl = Shape::Bowl { radius_mm: 10.0, segments: 32 }.mesh()?;

@@ -39,7 +39,7 @@ pub struct Body {
 /// ```
 /// use glam::{DVec2, DVec3};
 /// use rig_core::geometry::Shape;
-/// use rig_core::transport::{Camera, Light, Projection, Scene, Shading, Visibility};
+/// use rig_core::transport::{Camera, Light, Scene, Shading, Visibility};
 ///
 /// let camera = Camera::above([64, 64], DVec2::splat(24.0), 100.0);
 /// let light = Light::distant(DVec3::new(0.5, 0.0, 1.0), [3.0; 3]);

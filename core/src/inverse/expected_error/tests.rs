@@ -120,10 +120,8 @@ fn bowl(lights: Vec<Light>) -> Scene {
 
 fn choices(threads: usize) -> Vec<Choice> {
     let light = |degrees: f64| {
-        Light::distant(
-            DVec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos()),
-            [1.0; 3],
-        )
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        Light::distant(DVec3::new(sin, 0.0, cos), [1.0; 3])
     };
     let lights = [
         0.0, 120.0, -30.0, 30.0, 50.0, -50.0, 10.0, -10.0, 20.0, 65.0,

@@ -11,6 +11,12 @@ fn scene() -> Scene {
     scene
 }
 
+/// The paths of every pixel.
+fn traced(scene: &Scene, dictionary: &Dictionary, options: &CacheOptions) -> Cache {
+    let cells = Cells::of_pixels(scene.camera.resolution_px);
+    Cache::trace(scene, &cells, dictionary, options).unwrap()
+}
+
 /// Sum over all pixels of the radiance under each lamp, in f64, by walking the
 /// records: the definition that the kernels must reproduce.
 fn radiance<const B: usize>(
@@ -69,13 +75,7 @@ fn jacobian_agrees_with_central_differences() {
             max_reflections: 6,
             ..CacheOptions::default()
         };
-        let cache = Cache::trace(
-            &scene,
-            &Cells::of_pixels(scene.camera.resolution_px),
-            &dictionary,
-            &options,
-        )
-        .unwrap();
+        let cache = traced(&scene, &dictionary, &options);
         let n = dictionary.len();
         let mut single = vec![0.0; n];
         single[7] = 1.0;
@@ -173,13 +173,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
                 samples_per_cell: 16,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(
-                &scene,
-                &Cells::of_pixels(scene.camera.resolution_px),
-                &dictionary,
-                &options,
-            )
-            .unwrap();
+            let cache = traced(&scene, &dictionary, &options);
             totals(&cache, kernel, &vec![1.0 / 42.0; 42])
         })
     };

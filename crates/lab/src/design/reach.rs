@@ -42,8 +42,8 @@ impl std::fmt::Display for Lamp {
 pub struct Reach {
     /// No lower than this over the rim's plane, degrees.
     pub least_elevation_deg: f64,
-    /// No nearer to the camera's axis than this, degrees: its body is there, and light from beside
-    /// it shines into the lens.
+    /// Least angle between a lamp and the camera's axis, degrees: nearer lamps would stand behind
+    /// the camera or shine into its lens.
     pub clearance_deg: f64,
     /// The stage that moves the lamp, and the body of the camera.
     pub bench: Option<Bench>,
