@@ -67,7 +67,8 @@ mod console {
             address: (Ipv4Addr::LOCALHOST, port).into(),
             ..ListenOptions::default()
         };
-        let server = Server::bind(&options).hint("choose another --port, or 0 for a free one")?;
+        let mut server =
+            Server::bind(&options).hint("choose another --port, or 0 for a free one")?;
 
         // A bench of the camera alone, which is open already.
         let hub = Hub::default();
@@ -80,7 +81,7 @@ mod console {
         drop(bench.connect());
         let address = server.address();
         let routes = held_devices::routes(bench.clone()).merge(outline_routes(config, advisor()));
-        let running = server.start(Parts {
+        server.serve(Parts {
             hub,
             control,
             facts,
@@ -104,7 +105,7 @@ mod console {
             }
             std::thread::sleep(LOOK);
         }
-        drop(running);
+        drop(server);
         bench.end(CLOSING, || interrupt.level() == StopLevel::Now);
         // As it was asked to.
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);

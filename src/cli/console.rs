@@ -165,7 +165,7 @@ fn serve(
     mut work: Option<Work>,
     context: &Context,
 ) -> Result<(), CliError> {
-    let server = bind(&listen.options()?, context)?;
+    let mut server = bind(&listen.options()?, context)?;
     // Signals, the ends of jobs and the choices of pages wake this thread.
     let (wake, woken) = mpsc::channel();
     listen_for_signals(wake.clone())?;
@@ -178,11 +178,9 @@ fn serve(
         suspend: interrupt::suspend,
     };
     let is_capture = work.is_some();
-    let (mut captured, mut is_first, mut before) = (None, true, None);
+    let (mut captured, mut is_first) = (None, true);
     loop {
-        let console = Console::start(&subject, server.again()?, &around)?;
-        // It answers what was asked of it; the new one is there for who comes meanwhile.
-        drop(before.take());
+        let console = Console::start(&subject, &mut server, &around)?;
         if is_first {
             show_address(&server.address(), context)?;
         }
@@ -191,7 +189,6 @@ fn serve(
         if let Ok(Then::Bench(rig, named)) = then {
             console.close(|| false, &around);
             (subject.rig, subject.named) = (*rig, named);
-            before = Some(console);
             continue;
         }
         console.close(|| around.is_urgent(), &around);

@@ -20,7 +20,7 @@ use super::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use super::picture::outline_routes;
 use super::queue;
 use super::rigs::{self, Rigs};
-use super::server::{Parts, Running, Server, ServerError};
+use super::server::{Parts, Server, ServerError};
 use crate::config::{ConfigError, Origin, ResolvedRig, RigConfig};
 use crate::fault::{Advisor, Fault};
 use crate::interrupt::Signal;
@@ -157,17 +157,16 @@ pub enum ConsoleError {
 pub struct Console {
     jobs: Jobs,
     bench: HeldDevices,
-    _server: Running,
 }
 
 impl Console {
-    /// Answers at this server's address.
+    /// Is what this server serves from now on.
     ///
     /// # Errors
-    /// The bench's thread or the server cannot be started.
+    /// The bench's thread or the server's cannot be started.
     pub fn start(
         subject: &Subject,
-        server: Server,
+        server: &mut Server,
         around: &Surroundings<'_>,
     ) -> Result<Self, ConsoleError> {
         let Subject { rig, named, folder } = subject;
@@ -223,17 +222,13 @@ impl Console {
             )))
             .merge(queue::routes(jobs.clone()))
             .merge(rigs::routes(rigs));
-        let running = server.start(Parts {
+        server.serve(Parts {
             hub,
             control,
             facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
             routes,
         })?;
-        Ok(Self {
-            jobs,
-            bench,
-            _server: running,
-        })
+        Ok(Self { jobs, bench })
     }
 
     /// Starts `work`, if any, and stays until a signal ends the console or a page has chosen

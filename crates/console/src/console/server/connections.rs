@@ -6,7 +6,7 @@
 //! is not waited for.
 
 use std::convert::Infallible;
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock, Weak};
 use std::time::Duration;
 
 use axum::Router;
@@ -24,6 +24,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
+use super::events::Viewers;
 use super::gate::{Gate, secure, with_body};
 use super::patient::Patient;
 use crate::console::control::Control;
@@ -52,29 +53,48 @@ const LINGER: Duration = Duration::from_secs(1);
 /// How often a server that ends looks whether all is answered.
 const LOOK: Duration = Duration::from_millis(10);
 
+/// What answers the requests.
+#[derive(Debug)]
+pub struct Served {
+    /// Put into every request that is let in.
+    pub control: Control,
+    /// The streams of events.
+    pub viewers: Viewers,
+    /// Every address.
+    pub routes: Router,
+}
+
 /// What connections share.
 #[derive(Clone, Debug)]
 pub struct Inside {
     /// Who is let in.
     gate: Arc<Gate>,
-    /// Put into every request that is.
-    control: Control,
-    /// What answers it.
-    routes: Router,
+    served: Arc<RwLock<Arc<Served>>>,
     places: Arc<Semaphore>,
     places_of_stops: Arc<Semaphore>,
 }
 
 impl Inside {
     /// No connection yet.
-    pub fn new(gate: Gate, control: Control, routes: Router) -> Self {
+    pub fn new(gate: Gate, served: Arc<Served>) -> Self {
         Self {
             gate: Arc::new(gate),
-            control,
-            routes,
+            served: Arc::new(RwLock::new(served)),
             places: Arc::new(Semaphore::new(MOST_PLACES)),
             places_of_stops: Arc::new(Semaphore::new(MOST_STOPS)),
         }
+    }
+
+    /// What answers a request that comes now.
+    pub fn served(&self) -> Arc<Served> {
+        let served = self.served.read();
+        served.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Requests are answered by this from now on; returns what answered them before.
+    pub fn serve(&self, served: Arc<Served>) -> Arc<Served> {
+        let before = self.served.write();
+        std::mem::replace(&mut before.unwrap_or_else(PoisonError::into_inner), served)
     }
 
     /// Waits until every request that was admitted is answered, but not for long.
@@ -172,7 +192,8 @@ async fn answer(request: Request<Incoming>, inside: Inside, place: &Place) -> Re
         Ok(uri) => head.uri = uri,
         Err(outside) => return outside.into_response(),
     }
-    head.extensions.insert(inside.control);
+    let served = inside.served();
+    head.extensions.insert(served.control.clone());
     let request = if is_stop(&head) {
         if let Ok(permit) = inside.places_of_stops.try_acquire_owned() {
             let _ = place.set(permit);
@@ -191,7 +212,7 @@ async fn answer(request: Request<Incoming>, inside: Inside, place: &Place) -> Re
             Err(refusal) => return refusal.into_response(),
         }
     };
-    let routes = TowerToHyperService::new(inside.routes);
+    let routes = TowerToHyperService::new(served.routes.clone());
     match routes.call(request).await {
         Ok(response) => response,
         Err(never) => match never {},

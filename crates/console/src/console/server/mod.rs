@@ -12,6 +12,7 @@ mod patient;
 mod token;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -20,7 +21,7 @@ use axum::http::StatusCode;
 use serde_json::Value;
 use tokio::sync::oneshot;
 
-use self::connections::{Inside, LONGEST_QUEUE, accept};
+use self::connections::{Inside, LONGEST_QUEUE, Served, accept};
 use self::events::Viewers;
 use self::gate::Gate;
 use self::hosts::Hosts;
@@ -87,12 +88,13 @@ pub struct Parts {
     pub routes: Router,
 }
 
-/// A server that listens and does not answer yet.
+/// A server that listens, and answers once it serves something; it stops when this is dropped.
 #[derive(Debug)]
 pub struct Server {
     listener: std::net::TcpListener,
     address: SocketAddr,
     gate: Gate,
+    running: Option<Running>,
 }
 
 impl Server {
@@ -118,18 +120,7 @@ impl Server {
             listener,
             address,
             gate,
-        })
-    }
-
-    /// The same address, for the server that comes after this one; nobody is turned away between.
-    ///
-    /// # Errors
-    /// If the system has no file descriptors left.
-    pub fn again(&self) -> std::io::Result<Self> {
-        Ok(Self {
-            listener: self.listener.try_clone()?,
-            address: self.address,
-            gate: self.gate.clone(),
+            running: None,
         })
     }
 
@@ -148,16 +139,13 @@ impl Server {
         format!("http://{reached}/{}/", self.gate.token.reveal())
     }
 
-    /// Answers from now on, in a thread of its own.
+    /// Serves these parts from now on, in a thread of its own. Where others were served before,
+    /// they still answer what was asked of them, and nobody is turned away between; only their
+    /// streams of events end, and the pages come back by themselves.
     ///
     /// # Errors
-    /// If the system gives no thread or no event queue.
-    pub fn start(self, parts: Parts) -> Result<Running, ServerError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .max_blocking_threads(BLOCKING_THREADS)
-            .build()
-            .map_err(ServerError::Begin)?;
+    /// If the system gives no thread, no event queue or no file descriptor.
+    pub fn serve(&mut self, parts: Parts) -> Result<(), ServerError> {
         let viewers = Viewers::new(parts.hub, parts.facts);
         let nothing = || async { Refusal::missing("there is no such address") };
         let other_method =
@@ -168,39 +156,26 @@ impl Server {
             .merge(parts.routes)
             .fallback(nothing)
             .method_not_allowed_fallback(other_method);
-        let inside = Inside::new(self.gate, parts.control.clone(), routes);
-        let (stop, stopped) = oneshot::channel::<()>();
-        let serving = move || {
-            runtime.block_on(async {
-                // It has been bound, so nothing can fail but the system as a whole.
-                let Ok(listener) = tokio::net::TcpListener::from_std(self.listener) else {
-                    return;
-                };
-                tokio::select! {
-                    () = accept(listener, inside.clone()) => {}
-                    () = tick(parts.control) => {}
-                    _ = stopped => {}
-                }
-                viewers.end();
-                inside.answered().await;
-            });
-            // What a handler still waits for ends by itself.
-            runtime.shutdown_background();
-        };
-        let thread = std::thread::Builder::new()
-            .name("console".to_owned())
-            .spawn(serving)
-            .map_err(ServerError::Begin)?;
-        Ok(Running {
-            stop: Some(stop),
-            thread: Some(thread),
-        })
+        let served = Arc::new(Served {
+            control: parts.control,
+            viewers,
+            routes,
+        });
+        if let Some(running) = &self.running {
+            running.inside.serve(served).viewers.end();
+            return Ok(());
+        }
+        let listener = self.listener.try_clone().map_err(ServerError::Begin)?;
+        let inside = Inside::new(self.gate.clone(), served);
+        self.running = Some(Running::start(listener, inside)?);
+        Ok(())
     }
 }
 
-async fn tick(control: Control) {
+async fn tick(inside: &Inside) {
     loop {
         tokio::time::sleep(CONTROL_TICK).await;
+        let control = &inside.served().control;
         if control.silence().is_some() {
             control.publish();
         }
@@ -221,11 +196,50 @@ fn own_address(unspecified: IpAddr) -> Option<IpAddr> {
     (!ip.is_unspecified()).then_some(ip)
 }
 
-/// A server that answers; it stops when this is dropped.
+/// The thread that answers; it stops when this is dropped.
 #[derive(Debug)]
-pub struct Running {
+struct Running {
+    inside: Inside,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
+}
+
+impl Running {
+    fn start(listener: std::net::TcpListener, inside: Inside) -> Result<Self, ServerError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(BLOCKING_THREADS)
+            .build()
+            .map_err(ServerError::Begin)?;
+        let (stop, stopped) = oneshot::channel::<()>();
+        let shared = inside.clone();
+        let serving = move || {
+            runtime.block_on(async {
+                // It has been bound, so nothing can fail but the system as a whole.
+                let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
+                    return;
+                };
+                tokio::select! {
+                    () = accept(listener, shared.clone()) => {}
+                    () = tick(&shared) => {}
+                    _ = stopped => {}
+                }
+                shared.served().viewers.end();
+                shared.answered().await;
+            });
+            // What a handler still waits for ends by itself.
+            runtime.shutdown_background();
+        };
+        let thread = std::thread::Builder::new()
+            .name("console".to_owned())
+            .spawn(serving)
+            .map_err(ServerError::Begin)?;
+        Ok(Self {
+            inside,
+            stop: Some(stop),
+            thread: Some(thread),
+        })
+    }
 }
 
 impl Drop for Running {
@@ -240,44 +254,72 @@ impl Drop for Running {
 #[cfg(test)]
 mod tests {
     use std::io::{Read, Write};
+    use std::net::TcpStream;
 
     use super::*;
 
-    /// As when a page chooses another bench while another page asks something.
-    #[test]
-    fn what_was_asked_before_the_end_is_answered() {
-        let server = Server::bind(&ListenOptions::default()).unwrap();
-        let (address, socket) = (server.address(), server.socket_address());
+    fn parts(routes: Router) -> Parts {
         let hub = Hub::default();
-        let (asked, is_asked) = std::sync::mpsc::channel();
-        let slow = move || async move {
-            asked.send(()).unwrap();
-            tokio::time::sleep(Duration::from_millis(100)).await;
-            "answered"
-        };
-        let running = server.start(Parts {
+        Parts {
             control: Control::new(hub.clone()),
             hub,
             facts: serde_json::json!({}),
-            routes: Router::new().route("/slow", axum::routing::get(slow)),
-        });
-        let request = |path: &str| {
-            let mut stream = std::net::TcpStream::connect(socket).unwrap();
+            routes,
+        }
+    }
+
+    /// As when a page chooses another bench while other pages ask something, then as when the
+    /// console ends meanwhile.
+    #[test]
+    fn what_was_asked_before_is_answered() {
+        let mut server = Server::bind(&ListenOptions::default()).unwrap();
+        let (address, socket) = (server.address(), server.socket_address());
+        let ask = |mut stream: TcpStream, path: &str| {
             let path = address.splitn(4, '/').nth(3).unwrap().to_owned() + path;
             write!(stream, "GET /{path} HTTP/1.1\r\nhost: {socket}\r\n\r\n").unwrap();
             stream
         };
-        let mut events = request("api/events?viewer=a");
+        let connect = || TcpStream::connect(socket).unwrap();
+        let text = |mut stream: TcpStream| {
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            text
+        };
+        let (asked, is_asked) = std::sync::mpsc::channel();
+        let slow = |answer: &'static str, millis| {
+            let asked = asked.clone();
+            let handler = move || async move {
+                asked.send(()).unwrap();
+                tokio::time::sleep(Duration::from_millis(millis)).await;
+                answer
+            };
+            parts(Router::new().route("/slow", axum::routing::get(handler)))
+        };
+        // Longer than a server that ends would wait.
+        server.serve(slow("first", 1500)).unwrap();
+        let mut events = ask(connect(), "api/events?viewer=a");
         assert_eq!(events.read(&mut [0; 1]).unwrap(), 1);
-        let mut stream = request("slow");
+        let first = ask(connect(), "slow");
         is_asked.recv().unwrap();
-        drop(running);
-        let mut text = String::new();
-        stream.read_to_string(&mut text).unwrap();
-        assert!(text.ends_with("answered"), "{text}");
+        let silent = connect();
+        // One more connection is accepted after the silent one.
+        let other = text(ask(connect(), "nowhere"));
+        assert!(other.starts_with("HTTP/1.1 404"), "{other}");
+
+        server.serve(slow("second", 100)).unwrap();
         // The last chunk.
-        text.clear();
-        events.read_to_string(&mut text).unwrap();
-        assert!(text.ends_with("\r\n0\r\n\r\n"), "{text}");
+        assert!(text(events).ends_with("\r\n0\r\n\r\n"));
+        let second = text(ask(silent, "slow"));
+        assert!(second.ends_with("second"), "{second}");
+        let first = text(first);
+        assert!(first.ends_with("first"), "{first}");
+
+        let last = ask(connect(), "slow");
+        is_asked.recv().unwrap();
+        is_asked.recv().unwrap();
+        drop(server);
+        let last = text(last);
+        assert!(last.ends_with("second"), "{last}");
+        assert!(TcpStream::connect(socket).is_err());
     }
 }
