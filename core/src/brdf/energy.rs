@@ -58,8 +58,8 @@ pub struct EnergyBound {
 
 /// The albedo at one angle of incidence.
 struct Part {
-    /// Node and cos 2φd of each row.
-    places: Vec<(usize, f64)>,
+    /// Node and level of each row, as one number.
+    places: Vec<usize>,
     /// What each of them contributes of each atom (column).
     values: DMatrix<f64>,
 }
@@ -102,20 +102,22 @@ impl Part {
                 column *= LARGEST_ALBEDO / albedo;
             }
         }
-        let cosine = |k: usize| 2.0 * (k % LEVELS) as f64 / (LEVELS - 1) as f64 - 1.0;
-        let places = kept.into_iter().map(|k| (k / LEVELS, cosine(k)));
         Self {
-            places: places.collect(),
+            places: kept,
             values,
         }
     }
 
-    /// What each node contributes for these weights and this g₁.
-    fn by_node(&self, weights: &DVector<f64>, slopes: &[f64]) -> DVector<f64> {
+    /// What each node contributes for these weights and the factors of g₁ at every place.
+    fn by_node(&self, weights: &[f64], factors: &[f64]) -> DVector<f64> {
+        // Most weights of a posterior sample are 0.
+        let mut parts = DVector::zeros(self.places.len());
+        for (atom, weight) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+            parts.axpy(*weight, &self.values.column(atom), 1.0);
+        }
         let mut by_node = DVector::zeros(NODES);
-        let parts = &self.values * weights;
-        for (&(node, cosine), part) in self.places.iter().zip(parts.iter()) {
-            by_node[node] += part * (slopes[node] * cosine).exp();
+        for (place, part) in self.places.iter().zip(parts.iter()) {
+            by_node[place / LEVELS] += part * factors[*place];
         }
         by_node
     }
@@ -133,10 +135,13 @@ impl EnergyBound {
 
     /// Per angle, what each node contributes to the albedo without g₀.
     fn by_node(&self, weights: &[f64], discrepancy: &Discrepancy) -> Vec<DVector<f64>> {
-        let weights = DVector::from_column_slice(weights);
         let slopes = &discrepancy.0.as_slice()[NODES..];
+        let cosine = |level: usize| 2.0 * level as f64 / (LEVELS - 1) as f64 - 1.0;
+        let factors: Vec<f64> = (0..NODES * LEVELS)
+            .map(|k| (slopes[k / LEVELS] * cosine(k % LEVELS)).exp())
+            .collect();
         let parts = self.parts.iter();
-        parts.map(|part| part.by_node(&weights, slopes)).collect()
+        parts.map(|part| part.by_node(weights, &factors)).collect()
     }
 
     /// Largest directional albedo of the mixture of these weights with a discrepancy.
