@@ -14,6 +14,7 @@ use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded};
 use crate::config::RigConfig;
 use crate::config::geometry::GeometryConfig;
+use crate::session::Session;
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::transport::Scene;
 use crate::units::StageAngles;
@@ -25,6 +26,20 @@ pub struct BenchRecords {
     focus: Option<Loaded<FocusValues>>,
     camera: Option<Loaded<CameraValues>>,
     glare: Option<Loaded<GlareValues>>,
+}
+
+/// Radiance of a white diffuser at the stage's centre that faces the lamp (R, G, B, W/(m² sr)), by
+/// a session's rig file and its record of the irradiance.
+///
+/// # Errors
+/// The recorded rig file or the record is not valid.
+pub fn white_radiance(session: &Session) -> Result<[f64; 3], WorkflowError> {
+    let mut geometry = session.rig()?.geometry;
+    if let Some(loaded) = BenchRecords::load(session.root())?.irradiance {
+        loaded.record.values.apply(&mut geometry);
+    }
+    let irradiance = geometry.light.irradiance_w_m2;
+    Ok(irradiance.map(|irradiance| irradiance / std::f64::consts::PI))
 }
 
 /// A bench as the rig file and the records together describe it.

@@ -49,7 +49,7 @@ mod warnings;
 pub use crate::config::fit::FitRequest;
 pub use crate::config::scene_concern::{DescribedIn, SceneConcern, extent_in_image, millimetres};
 pub use crate::session::validation::{LeftOut, LightScore, RegionScore, Validation};
-pub use bench_records::{BenchRecords, KnownBench, apply_lens};
+pub use bench_records::{BenchRecords, KnownBench, apply_lens, white_radiance};
 pub use cell_images::UNSTATED_NOISE;
 #[cfg(target_os = "linux")]
 pub use closed_loop::{MEASURED_OVER_EXPECTED, QuickFits};

@@ -79,11 +79,16 @@ pub fn averaged_to(image: &RadianceImage, largest_px: usize) -> RadianceImage {
 /// Radiance over `white` as sRGB; brighter values clip. Invalid pixels are
 /// transparent, larger images are averaged down.
 pub fn tone_mapped(image: &RadianceImage, white: f32) -> Picture {
+    white_balanced(image, [white; 3])
+}
+
+/// Likewise, where a white diffuser has this radiance (R, G, B).
+pub fn white_balanced(image: &RadianceImage, white: [f32; 3]) -> Picture {
     let small = averaged_down(image);
     Picture::from_fn(small.width, small.height, |x, y| {
         let at = y * small.width + x;
         match small.valid[at] {
-            true => opaque(small.mean[at].map(|value| srgb8(value / white))),
+            true => opaque([0, 1, 2].map(|c| srgb8(small.mean[at][c] / white[c]))),
             false => [0; 4],
         }
     })

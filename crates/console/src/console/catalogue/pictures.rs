@@ -17,12 +17,13 @@ use crate::brdf::source;
 use crate::brdf::sphere::{GreyCard, sphere_images};
 use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
-use crate::plot::radiance::{RESIDUAL_RANGE, residual, tone_mapped, white_level};
-use crate::radiance_image::exr;
+use crate::plot::radiance::{RESIDUAL_RANGE, residual, white_balanced, white_level};
+use crate::radiance_image::{RadianceImage, exr};
 use crate::session::Session;
 use crate::session::layout::{self, DERIVED_FOLDER, FITS_FOLDER};
 use crate::session::validation::{self, LightScore, Validation};
 use crate::shown::nth;
+use crate::workflow::white_radiance;
 
 /// Pixels a side of a sphere.
 const SPHERE_PX: usize = 128;
@@ -199,8 +200,8 @@ pub fn png(session: &Session, of: PictureOf) -> Result<Vec<u8>, FileError> {
                     let channels = [0, 1, 2].map(|channel| residual(&image, channel));
                     in_a_row(&channels)
                 }
-                PictureOf::Thumbnail => thumbnail(&tone_mapped(&image, white_level(&image))),
-                _ => tone_mapped(&image, white_level(&image)),
+                PictureOf::Thumbnail => thumbnail(&exposed(session, &image)),
+                _ => exposed(session, &image),
             }
         }
     };
@@ -208,6 +209,24 @@ pub fn png(session: &Session, of: PictureOf) -> Result<Vec<u8>, FileError> {
         file: of.file(),
         source,
     })
+}
+
+/// The image in the exposure in which a white diffuser that faces the lamp is white, so that
+/// materials look as dark and as coloured as they are.
+fn exposed(session: &Session, image: &RadianceImage) -> Picture {
+    let white = white_radiance(session).ok();
+    white_balanced(image, white_of(white, white_level(image)))
+}
+
+/// The radiance shown as white. Where the scale is nobody's, an image would be all black or all
+/// white: what is bright in it is white then.
+fn white_of(diffuser: Option<[f64; 3]>, bright: f32) -> [f32; 3] {
+    let diffuser = diffuser.map(|white| white.map(|white| white as f32));
+    let is_plausible = |white: &[f32; 3]| {
+        let mean = white.iter().sum::<f32>() / 3.0;
+        white.iter().all(|white| *white > 0.0) && (0.01..10.0).contains(&(bright / mean))
+    };
+    diffuser.filter(is_plausible).unwrap_or([bright; 3])
 }
 
 fn spheres(session: &Session, fit: u32) -> Result<Picture, FileError> {
@@ -339,6 +358,17 @@ mod tests {
         ] {
             assert_eq!(PictureOf::parse(other), None, "{other}");
         }
+    }
+
+    #[test]
+    fn a_white_diffuser_is_white_where_the_scale_is_known() {
+        let diffuser = Some([1.0, 0.5, 0.25]);
+        assert_eq!(white_of(diffuser, 0.1), [1.0, 0.5, 0.25]);
+        // Counts, a rig file whose irradiance nobody measured, a lamp without blue.
+        assert_eq!(white_of(diffuser, 4000.0), [4000.0; 3]);
+        assert_eq!(white_of(diffuser, 1e-5), [1e-5; 3]);
+        assert_eq!(white_of(Some([1.0, 0.5, 0.0]), 0.1), [0.1; 3]);
+        assert_eq!(white_of(None, 0.1), [0.1; 3]);
     }
 
     #[test]
