@@ -9,8 +9,8 @@ use crate::radiance_image::RadianceImage;
 pub struct CapturedInput {
     /// Pixels per row, and rows.
     pub size_px: [usize; 2],
-    /// The radiance shown as white.
-    pub white: f32,
+    /// What is bright in it ([`images::white_level`]).
+    pub bright: f32,
     /// Pixels without a valid value.
     pub unusable: usize,
     /// Signal-to-noise ratio of its bright pixels.
@@ -22,19 +22,19 @@ pub struct CapturedInput {
 impl CapturedInput {
     /// Summarises a merged image.
     pub fn of(image: &RadianceImage) -> Self {
-        let white = images::white_level(image);
+        let bright = images::white_level(image);
         Self {
             size_px: [image.width, image.height],
-            white,
+            bright,
             unusable: image.valid.iter().filter(|valid| !**valid).count(),
-            signal_to_noise: SignalToNoise::of(image, white),
+            signal_to_noise: SignalToNoise::of(image, bright),
             picture: images::averaged_down(image),
         }
     }
 }
 
 /// Mean over standard deviation of the merged radiance, over the pixels
-/// brighter than 5% of white.
+/// brighter than 5% of what is bright.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SignalToNoise {
     /// The 50th percentile, R, G, B.
@@ -44,11 +44,11 @@ pub struct SignalToNoise {
 }
 
 impl SignalToNoise {
-    fn of(image: &RadianceImage, white: f32) -> Self {
+    fn of(image: &RadianceImage, bright: f32) -> Self {
         let sorted: [Vec<f64>; 3] = [0, 1, 2].map(|c| {
             let mut ratios: Vec<f64> = (0..image.mean.len())
                 .filter(|&n| image.valid[n] && image.variance[n][c] > 0.0)
-                .filter(|&n| image.mean[n][c] > 0.05 * white)
+                .filter(|&n| image.mean[n][c] > 0.05 * bright)
                 .map(|n| f64::from(image.mean[n][c]) / f64::from(image.variance[n][c]).sqrt())
                 .collect();
             ratios.sort_by(f64::total_cmp);

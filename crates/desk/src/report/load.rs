@@ -17,6 +17,7 @@ use crate::radiance_image::exr::{self, ExrError};
 use crate::session::fit_record::{self, FitRecord, FitRecordError};
 use crate::session::{Event, Session, SessionError, SessionState, Sidecar, layout, validation};
 use crate::units::StageAngles;
+use crate::workflow::white_radiance;
 
 /// Pixels a side of the spheres under environment maps.
 const SPHERE_PX: usize = 128;
@@ -253,6 +254,7 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
         index: number,
         place: read_back.or(plan.lights.get(index).copied()),
         exposures,
+        diffuser: white_radiance(session).ok(),
         captured: captured.transpose()?,
     })
 }

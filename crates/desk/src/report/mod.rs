@@ -153,6 +153,8 @@ pub struct LightInput {
     pub place: Option<StageAngles>,
     /// What was exposed.
     pub exposures: Vec<ExposureInput>,
+    /// Radiance of a white diffuser that faces the lamp (R, G, B), where it is known.
+    pub diffuser: Option<[f64; 3]>,
     /// The merged image.
     pub captured: Option<CapturedInput>,
 }

@@ -133,11 +133,14 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Va
     let residual = fit.and_then(|fit| fit.images.residual.get(position));
     let captured = light.captured.as_ref();
     // Captured and rendered images share one exposure.
-    let white = captured
-        .map(|captured| captured.white)
+    let bright = captured
+        .map(|captured| captured.bright)
         .or(rendered.map(images::white_level))
         .unwrap_or(1.0);
-    let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
+    let white = images::white_of(light.diffuser, bright);
+    let uri = |image: &RadianceImage| images::white_balanced(image, white).data_uri();
+    let mut whites = white.map(|white| short(f64::from(white))).to_vec();
+    whites.dedup();
     let place = light.place.map(|place| {
         // Adding zero turns −0 into 0.
         let (azimuth, elevation) = (place.azimuth_deg + 0.0, place.elevation_deg + 0.0);
@@ -168,7 +171,7 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Va
             name,
             uri => images::residual(image, channel).data_uri(),
         }),
-        white => short(f64::from(white)),
+        white => whites.join(", "),
         size => size.unwrap_or_default(),
         exposures => value(exposures(light)),
         snr => value(quality.map(|quality| whole(quality.median))),

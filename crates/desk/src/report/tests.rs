@@ -196,6 +196,7 @@ pub(super) fn synthetic() -> ReportInput {
         index,
         place: Some(StageAngles::new(-30.0 * f64::from(index), 85.0)),
         exposures: vec![exposure(0.5, 1), exposure(4.0, 2), exposure(32.0, 8)],
+        diffuser: None,
         captured: Some(CapturedInput::of(&bowl(index.into(), 1.0))),
     };
     ReportInput {

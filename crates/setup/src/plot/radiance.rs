@@ -12,7 +12,7 @@ fn opaque([r, g, b]: [u8; 3]) -> [u8; 4] {
     [r, g, b, 255]
 }
 
-/// The radiance shown as white: the 99.5th percentile of all valid values, at
+/// What is bright in an image: the 99.5th percentile of all valid values, at
 /// least a tiny positive number.
 pub fn white_level(image: &RadianceImage) -> f32 {
     let mut values: Vec<f32> = image
@@ -29,6 +29,18 @@ pub fn white_level(image: &RadianceImage) -> f32 {
     let at = (values.len() - 1) * 995 / 1000;
     let white = *values.select_nth_unstable_by(at, f32::total_cmp).1;
     white.max(f32::MIN_POSITIVE)
+}
+
+/// The radiance shown as white (R, G, B): that of a white diffuser that faces the lamp. Where it
+/// is not known, or an image would be all black or all white because its scale is nobody's, what
+/// is bright in it ([`white_level`]) is white.
+pub fn white_of(diffuser: Option<[f64; 3]>, bright: f32) -> [f32; 3] {
+    let diffuser = diffuser.map(|white| white.map(|white| white as f32));
+    let is_plausible = |white: &[f32; 3]| {
+        let mean = white.iter().sum::<f32>() / 3.0;
+        white.iter().all(|white| *white > 0.0) && (0.01..10.0).contains(&(bright / mean))
+    };
+    diffuser.filter(is_plausible).unwrap_or([bright; 3])
 }
 
 /// How many pixels a side become one where the page has room for `largest_px`.
@@ -114,6 +126,17 @@ pub fn residual(image: &RadianceImage, channel: usize) -> Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_white_diffuser_is_white_where_the_scale_is_known() {
+        let diffuser = Some([1.0, 0.5, 0.25]);
+        assert_eq!(white_of(diffuser, 0.1), [1.0, 0.5, 0.25]);
+        // Counts, a rig file whose irradiance nobody measured, a lamp without blue.
+        assert_eq!(white_of(diffuser, 4000.0), [4000.0; 3]);
+        assert_eq!(white_of(diffuser, 1e-5), [1e-5; 3]);
+        assert_eq!(white_of(Some([1.0, 0.5, 0.0]), 0.1), [0.1; 3]);
+        assert_eq!(white_of(None, 0.1), [0.1; 3]);
+    }
 
     #[test]
     fn masked_pixels_are_transparent_and_large_images_shrink() {

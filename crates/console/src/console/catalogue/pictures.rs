@@ -17,7 +17,7 @@ use crate::brdf::source;
 use crate::brdf::sphere::{GreyCard, sphere_images};
 use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
-use crate::plot::radiance::{RESIDUAL_RANGE, residual, white_balanced, white_level};
+use crate::plot::radiance::{RESIDUAL_RANGE, residual, white_balanced, white_level, white_of};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::Session;
 use crate::session::layout::{self, DERIVED_FOLDER, FITS_FOLDER};
@@ -218,17 +218,6 @@ fn exposed(session: &Session, image: &RadianceImage) -> Picture {
     white_balanced(image, white_of(white, white_level(image)))
 }
 
-/// The radiance shown as white. Where the scale is nobody's, an image would be all black or all
-/// white: what is bright in it is white then.
-fn white_of(diffuser: Option<[f64; 3]>, bright: f32) -> [f32; 3] {
-    let diffuser = diffuser.map(|white| white.map(|white| white as f32));
-    let is_plausible = |white: &[f32; 3]| {
-        let mean = white.iter().sum::<f32>() / 3.0;
-        white.iter().all(|white| *white > 0.0) && (0.01..10.0).contains(&(bright / mean))
-    };
-    diffuser.filter(is_plausible).unwrap_or([bright; 3])
-}
-
 fn spheres(session: &Session, fit: u32) -> Result<Picture, FileError> {
     let estimate = read_fit(session, fit)?
         .material()
@@ -358,17 +347,6 @@ mod tests {
         ] {
             assert_eq!(PictureOf::parse(other), None, "{other}");
         }
-    }
-
-    #[test]
-    fn a_white_diffuser_is_white_where_the_scale_is_known() {
-        let diffuser = Some([1.0, 0.5, 0.25]);
-        assert_eq!(white_of(diffuser, 0.1), [1.0, 0.5, 0.25]);
-        // Counts, a rig file whose irradiance nobody measured, a lamp without blue.
-        assert_eq!(white_of(diffuser, 4000.0), [4000.0; 3]);
-        assert_eq!(white_of(diffuser, 1e-5), [1e-5; 3]);
-        assert_eq!(white_of(Some([1.0, 0.5, 0.0]), 0.1), [0.1; 3]);
-        assert_eq!(white_of(None, 0.1), [0.1; 3]);
     }
 
     #[test]
