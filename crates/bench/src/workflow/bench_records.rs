@@ -35,7 +35,8 @@ pub struct BenchRecords {
 /// The recorded rig file or the record is not valid.
 pub fn white_radiance(session: &Session) -> Result<[f64; 3], WorkflowError> {
     let mut geometry = session.rig()?.geometry;
-    if let Some(loaded) = BenchRecords::load(session.root())?.irradiance {
+    let library = Library::Folder(session.root().join(CALIBRATION_FOLDER));
+    if let Some(loaded) = library.load::<LightsValues>(None)? {
         loaded.record.values.apply(&mut geometry);
     }
     let irradiance = geometry.light.irradiance_w_m2;

@@ -121,6 +121,7 @@ fn load_with(
         incomplete: incomplete(&session),
         provenance: provenance(&session, fit.as_ref(), unknown),
         lights,
+        diffuser: white_radiance(&session).ok(),
         fit,
         validation: latest_validation(&session)?,
         truth,
@@ -254,7 +255,6 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
         index: number,
         place: read_back.or(plan.lights.get(index).copied()),
         exposures,
-        diffuser: white_radiance(session).ok(),
         captured: captured.transpose()?,
     })
 }

@@ -133,6 +133,8 @@ pub struct ReportInput {
     pub incomplete: Option<String>,
     /// The lights, in the order of the plan.
     pub lights: Vec<LightInput>,
+    /// Radiance of a white diffuser that faces the lamp (R, G, B), where it is known.
+    pub diffuser: Option<[f64; 3]>,
     /// The fit to show, if there is one.
     pub fit: Option<FitInput>,
     /// The latest validation, if there is one.
@@ -153,8 +155,6 @@ pub struct LightInput {
     pub place: Option<StageAngles>,
     /// What was exposed.
     pub exposures: Vec<ExposureInput>,
-    /// Radiance of a white diffuser that faces the lamp (R, G, B), where it is known.
-    pub diffuser: Option<[f64; 3]>,
     /// The merged image.
     pub captured: Option<CapturedInput>,
 }

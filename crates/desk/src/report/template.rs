@@ -57,7 +57,7 @@ pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
         truth => value(input.truth.as_ref().map(|truth| &truth.name)),
         spheres => values(&input.spheres, sphere_view),
         scores => score_rows(record),
-        lights => values(lights, |(n, light)| light_view(n, light, input.fit.as_ref())),
+        lights => values(lights, |(n, light)| light_view(n, light, input)),
         residual_bar => figures::residual_bar(),
         residual_range => images::RESIDUAL_RANGE as u32,
         validation => value(input.validation.as_ref().map(validation_view)),
@@ -128,7 +128,8 @@ fn sphere_view(sphere: &SphereInput) -> Value {
     }
 }
 
-fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Value {
+fn light_view(position: usize, light: &LightInput, input: &ReportInput) -> Value {
+    let fit = input.fit.as_ref();
     let rendered = fit.and_then(|fit| fit.images.rendered.get(position));
     let residual = fit.and_then(|fit| fit.images.residual.get(position));
     let captured = light.captured.as_ref();
@@ -137,7 +138,7 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Va
         .map(|captured| captured.bright)
         .or(rendered.map(images::white_level))
         .unwrap_or(1.0);
-    let white = images::white_of(light.diffuser, bright);
+    let white = images::white_of(input.diffuser, bright);
     let uri = |image: &RadianceImage| images::white_balanced(image, white).data_uri();
     let mut whites = white.map(|white| short(f64::from(white))).to_vec();
     whites.dedup();

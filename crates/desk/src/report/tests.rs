@@ -196,10 +196,10 @@ pub(super) fn synthetic() -> ReportInput {
         index,
         place: Some(StageAngles::new(-30.0 * f64::from(index), 85.0)),
         exposures: vec![exposure(0.5, 1), exposure(4.0, 2), exposure(32.0, 8)],
-        diffuser: None,
         captured: Some(CapturedInput::of(&bowl(index.into(), 1.0))),
     };
     ReportInput {
+        diffuser: None,
         sample: "red-plastic <bowl> & co".to_owned(),
         session: "20261121T023400Z_red-plastic_0f3a9c".to_owned(),
         captured: "2026-11-21 02:34 UTC".to_owned(),

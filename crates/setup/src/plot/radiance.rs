@@ -12,7 +12,7 @@ fn opaque([r, g, b]: [u8; 3]) -> [u8; 4] {
     [r, g, b, 255]
 }
 
-/// What is bright in an image: the 99.5th percentile of all valid values, at
+/// What is bright in an image, often shown as white: the 99.5th percentile of all valid values, at
 /// least a tiny positive number.
 pub fn white_level(image: &RadianceImage) -> f32 {
     let mut values: Vec<f32> = image
@@ -31,9 +31,9 @@ pub fn white_level(image: &RadianceImage) -> f32 {
     white.max(f32::MIN_POSITIVE)
 }
 
-/// The radiance shown as white (R, G, B): that of a white diffuser that faces the lamp. Where it
-/// is not known, or an image would be all black or all white because its scale is nobody's, what
-/// is bright in it ([`white_level`]) is white.
+/// The radiance shown as white (R, G, B): that of a white diffuser that faces the lamp. Where
+/// that is not known, or so far from the image's values that nobody can have measured their
+/// scale, what is bright in the image ([`white_level`]) is white.
 pub fn white_of(diffuser: Option<[f64; 3]>, bright: f32) -> [f32; 3] {
     let diffuser = diffuser.map(|white| white.map(|white| white as f32));
     let is_plausible = |white: &[f32; 3]| {
