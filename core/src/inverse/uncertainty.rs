@@ -66,8 +66,9 @@ pub struct Adds<'a> {
     pub discrepancy: &'a [Eliminated],
 }
 
-/// Draws `count` samples of each channel group's weights from their posterior distribution, which
-/// lies around the fitted `mixture`; [`draw_prior`] adds samples of the prior.
+/// Draws `count` samples of the dictionary's weights from their posterior distribution around the
+/// fitted `mixture`, for each group of channels that share weights; [`draw_prior`] adds samples
+/// of the prior.
 pub fn draw(
     dictionary: &Dictionary,
     mixture: &[DVector<f64>],
