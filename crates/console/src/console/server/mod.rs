@@ -280,10 +280,10 @@ mod tests {
             stream
         };
         let connect = || TcpStream::connect(socket).unwrap();
-        let text = |mut stream: TcpStream| {
-            let mut text = String::new();
-            stream.read_to_string(&mut text).unwrap();
-            text
+        let answer_on = |mut stream: TcpStream| {
+            let mut answer = String::new();
+            stream.read_to_string(&mut answer).unwrap();
+            answer
         };
         let (asked, is_asked) = std::sync::mpsc::channel();
         let slow = |answer: &'static str, millis| {
@@ -303,22 +303,22 @@ mod tests {
         is_asked.recv().unwrap();
         let silent = connect();
         // One more connection is accepted after the silent one.
-        let other = text(ask(connect(), "nowhere"));
-        assert!(other.starts_with("HTTP/1.1 404"), "{other}");
+        let missing = answer_on(ask(connect(), "nowhere"));
+        assert!(missing.starts_with("HTTP/1.1 404"), "{missing}");
 
         server.serve(slow("second", 100)).unwrap();
         // The last chunk.
-        assert!(text(events).ends_with("\r\n0\r\n\r\n"));
-        let second = text(ask(silent, "slow"));
+        assert!(answer_on(events).ends_with("\r\n0\r\n\r\n"));
+        let second = answer_on(ask(silent, "slow"));
         assert!(second.ends_with("second"), "{second}");
-        let first = text(first);
+        let first = answer_on(first);
         assert!(first.ends_with("first"), "{first}");
 
         let last = ask(connect(), "slow");
         is_asked.recv().unwrap();
         is_asked.recv().unwrap();
         drop(server);
-        let last = text(last);
+        let last = answer_on(last);
         assert!(last.ends_with("second"), "{last}");
         assert!(TcpStream::connect(socket).is_err());
     }
