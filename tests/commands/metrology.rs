@@ -441,14 +441,14 @@ fn a_simulated_certificate_says_so_on_both_pages() {
     assert!(done.status.success());
     let said = stderr(&done);
     assert!(
-        said.contains("contact, room_humidity_percent; state them in [lab]"),
+        said.contains("contact, city, room_humidity_percent; state them in [lab]"),
         "{said}"
     );
     let html = std::fs::read_to_string(home.path().join("c.html")).unwrap();
     assert_eq!(html.matches("SIMULATED – NOT A MEASUREMENT").count(), 2);
     // What is not known is said, and never 0.
     for said in [
-        "not stated",
+        "in [lab] of the rig file: organisation, laboratory, operator, contact, city, room_humidity_percent</span>",
         "temperature 22.5 °C, relative humidity not stated",
         "<td>pose</td><td class=\"text\">B</td><td>1</td><td class=\"none\" colspan=\"2\">not evaluated</td>",
         "took it as exactly known: pose. An error of it is not in U; the bench was taken as exact.",

@@ -39,6 +39,7 @@ impl LabConfig {
             ("laboratory", self.laboratory.is_none()),
             ("operator", self.operator.is_none()),
             ("contact", self.contact.is_none()),
+            ("city", self.address.city.is_none()),
             ("room_temperature_c", self.room_temperature_c.is_none()),
             (
                 "room_humidity_percent",

@@ -16,9 +16,6 @@ use crate::session::layout::{FITS_FOLDER, JOURNAL_FILE, SESSION_FILE};
 use crate::session::{Event, FrameEntry, SessionError};
 use crate::workflow::StatedResult;
 
-/// What stands where nothing is known.
-const NOT_STATED: &str = "not stated";
-
 pub(super) fn render(result: &StatedResult, budget: &Budget) -> Result<String, CertificateError> {
     let record = &result.record;
     let session = result.session.record();
@@ -70,17 +67,14 @@ fn lab(result: &StatedResult) -> Value {
         joined(&[&address.country]),
     ];
     let lines: Vec<String> = lines.into_iter().filter(|line| !line.is_empty()).collect();
-    let or = |text: &Option<String>| text.clone().unwrap_or_else(|| NOT_STATED.to_owned());
     context! {
-        organisation => or(&lab.organisation),
-        laboratory => or(&lab.laboratory),
-        operator => or(&lab.operator),
-        contact => or(&lab.contact),
+        organisation => value(&lab.organisation),
+        laboratory => value(&lab.laboratory),
+        operator => value(&lab.operator),
+        contact => value(&lab.contact),
         email => value(&lab.email),
-        address => match lines.is_empty() {
-            true => NOT_STATED.to_owned(),
-            false => lines.join(", "),
-        },
+        address => lines.join(", "),
+        lacking => lab.not_stated().join(", "),
     }
 }
 
@@ -154,12 +148,12 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
             ),
         ),
         fact("Bench", bench),
-        fact("Environment", environment(&result.config.lab)),
+        fact("Room", room(&result.config.lab)),
     ]
 }
 
 /// The room, as the laboratory states it.
-fn environment(lab: &LabConfig) -> String {
+fn room(lab: &LabConfig) -> String {
     let stated = [
         (
             lab.room_temperature_c.map(|c| format!("{c} °C")),
@@ -172,12 +166,9 @@ fn environment(lab: &LabConfig) -> String {
     ];
     let stated = stated.map(|(value, of)| match value {
         Some(value) => format!("{of} {value}"),
-        None => format!("{of} {NOT_STATED}"),
+        None => format!("{of} not stated"),
     });
-    format!(
-        "room: {} (as the laboratory states them)",
-        stated.join(", ")
-    )
+    stated.join(", ")
 }
 
 fn or_none(text: &str) -> &str {
