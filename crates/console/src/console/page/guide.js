@@ -105,13 +105,13 @@ function placePart(live, current) {
   const seen = h("p", { role: "status", id: "target-seen" });
   const failed = h("p", { class: "error", role: "alert" });
   const look = h("div", { class: "stack" }, live.picture, h("div", { class: "row" }, connect, check), failed, seen);
-  const element = h("div", { class: "stack" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
+  const element = h("div", { class: "two even" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
   connect.addEventListener("click", () => {
     automatic(true);
     if (!state.bench?.connected) return attempt("api/bench/connect");
     if (state.bench.stage?.position === null) return attempt("api/bench/home");
     if (isLow()) {
-      const [azimuth_deg, elevation_deg] = /^(-?[\d.]+),(-?[\d.]+)$/.exec(current().lights)?.slice(1).map(Number) ?? [0, 45];
+      const [azimuth_deg, elevation_deg] = /^(-?[\d.]+),(-?[\d.]+)$/.exec(current().lights)?.slice(1).map(Number) ?? [0, 75];
       return attempt("api/bench/move", { azimuth_deg, elevation_deg });
     }
     attempt("api/bench/lamp", { channel: state.bench.stage?.lamp === null ? 0 : null });
@@ -129,6 +129,7 @@ function placePart(live, current) {
     }
   });
   function show({ guide }) {
+    if (steps.drawnFrom !== JSON.stringify(guide.kind)) say(seen, "");
     redraw(steps, guide.kind, () => [targetDrawing(guide.kind), h("ul", { class: "steps" }, guide.place.map((sentence) => h("li", {}, sentence)))]);
     const rig = state.console?.rig;
     const itself = rig?.simulated && guide.frames === "own";
@@ -318,7 +319,7 @@ function resultPart(reload) {
     element.hidden = working() || !(mine || records.length);
     if (element.hidden) return;
     say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}.`);
-    const lines = mine ? (job.log ?? []).filter((line) => !line.startsWith("figure: ")) : [];
+    const lines = mine ? (job.log ?? []).filter((line) => !/^(figure|EMVA 1288 figures): /.test(line)) : [];
     redraw(said, lines, () => lines.map((line) => h("li", { class: /^(warning|error|hint)/.test(line) ? "warn" : null }, line)));
     redraw(figure, [records, run.trial?.has_figure], () => (records.length && run.trial.has_figure ? [h("figure", {}, h("img", { src: `api/guides/figure.png?of=${encodeURIComponent(records[0])}`, alt: `The figure of ${records[0]}` }))] : []));
     buttons.hidden = !records.length;
