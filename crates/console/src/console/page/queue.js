@@ -5,6 +5,7 @@ import { field, gate, h, panel, redraw, say } from "./dom.js";
 import { span } from "./format.js";
 import { attempt, blocked, capturing, working } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
+import { untilFields } from "./prepare.js";
 import { slowPicture } from "./picture.js";
 import { fileOf } from "./session.js";
 import { secondsSince, state, watch } from "./stream.js";
@@ -13,16 +14,18 @@ import { badge } from "./verdict.js";
 /** Builds the view; the returned function shows and hides it. */
 export function startQueue(view) {
   const lights = h("input", { type: "text", id: "queue-lights", value: "4", "aria-describedby": "queue-lights-help" });
+  const enough = untilFields("Expected error that is enough, percent; may stay empty", "", "queue-");
+  const asked = () => ({ lights: lights.value.trim(), ...(enough.error.value ? enough.asked() : {}) });
   const fit = h("input", { type: "checkbox", id: "queue-fit", checked: true });
   const list = h("ul", { class: "queue" });
   const left = h("p", { class: "fine", role: "status" });
-  const next = nextPanel(() => ({ lights: lights.value.trim(), fit: fit.checked }), set);
+  const next = nextPanel(() => ({ ...asked(), fit: fit.checked }), set);
   const more = addPanel(set);
   view.append(
     h(
       "div",
       { class: "two" },
-      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
+      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("p", { class: "inline" }, "Then the most telling ones, until the expected error is at most ", enough.error, " % (may stay empty), but at most ", enough.most, " lights."), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
       panel("Samples", {}, left, list),
     ),
   );
@@ -45,7 +48,7 @@ export function startQueue(view) {
       let newer = await ask("api/queue");
       // Without fits a captured sample is done.
       if (newer.next.step === "fit" && !fit.checked && !working() && !blocked()) {
-        await act("api/queue/next", { lights: lights.value, leave: true });
+        await act("api/queue/next", { lights: lights.value.trim(), leave: true });
         newer = await ask("api/queue");
       }
       set(newer);
@@ -57,7 +60,7 @@ export function startQueue(view) {
   /** The lights of a sample: its own, or those of the form. */
   function lightsOf(row) {
     const own = row.lights !== null || row.light.length > 0;
-    return { lights: own ? row.lights : lights.value.trim() || null, light: row.light, fit: false };
+    return { ...asked(), lights: own ? row.lights : lights.value.trim() || null, light: row.light, fit: false };
   }
 
   /** What each sample that is left takes, by a dry run for all of the same lights. */
@@ -85,7 +88,7 @@ export function startQueue(view) {
     redraw(list, [queue.rows, reason, capturing() ? capture?.sample : null], () => queue.rows.flatMap((row) => rowsOf(row, reason, set)));
   }
 
-  lights.addEventListener("change", plan);
+  for (const one of [lights, enough.error, enough.most]) one.addEventListener("change", plan);
   fit.addEventListener("change", load);
   watch(["control", "link", "capture"], show);
   watch(["job"], () => {
