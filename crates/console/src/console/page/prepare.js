@@ -223,7 +223,7 @@ function planRows(plan) {
   return [
     ["Lights", plan.lights ? String(plan.lights.length) : null],
     ["Then", plan.until ? `the most telling, until the expected error is at most ${digits(100 * plan.until.error, 2)} %; ${plan.until.max_lights} lights at most` : null],
-    ["Time", Number.isFinite(plan.estimated_s) ? `${plan.until ? "at most " : ""}about ${span(plan.estimated_s)}, without the fit` : null],
+    ["Time", Number.isFinite(plan.estimated_s) ? `${plan.until ? "at most " : ""}about ${span(plan.estimated_s)}, without the ${plan.until ? "fits" : "fit"}` : null],
     ["Disk", Number.isFinite(plan.estimated_bytes) ? `about ${bytes(plan.estimated_bytes)}` : null],
     ["Exposures", Number.isFinite(e.shortest_s) ? `${exposure(e.shortest_s)} to ${exposure(e.longest_s)}, up to ${e.max_frames} frames of each` : null],
     ["Dark SNR", Number.isFinite(e.dark_snr) ? `at least ${digits(e.dark_snr, 2)} in the sample's dark parts` : null],

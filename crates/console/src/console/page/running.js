@@ -140,7 +140,7 @@ function progressPanel(onleave) {
     facts(list, [
       ["Time left", running && Number.isFinite(left) && capture.state !== "fitting" ? (left > 0 ? span(left) : "a moment") : null],
       ["Lights", lights.length ? `${lights.filter((light) => light.state === "done").length} of ${lights.length} done` : null],
-      ["Chosen by", capture?.decision ? capital(capture.decision) : null],
+      ["Last decision", capture?.decision ? capital(capture.decision) : null],
       ["Drift over the session", Number.isFinite(capture?.drift_percent) ? drift(capture.drift_percent, capture.drift_u_percent ?? NaN) : null],
       ["Disk free", Number.isFinite(capture?.disk_free_bytes) ? bytes(capture.disk_free_bytes) : null],
       ["Session", sessionName(capture?.session) || null],
