@@ -107,7 +107,11 @@ impl SessionPages {
             row: Row::of(&session, name, fits.into_iter().map(fit).collect()),
             report_fit: report_fit(&session),
             pictures: pictures::of_session(&session),
-            decision: session.journal().decisions().last().map(|one| one.to_string()),
+            decision: session
+                .journal()
+                .decisions()
+                .last()
+                .map(|one| one.to_string()),
             warnings: warnings(&session),
             validation: validation_detail(&session, advisor),
         })

@@ -374,3 +374,31 @@ async fn stop(State(jobs): State<Jobs>) -> Accepted {
     let stopping = jobs.stop().map(Kind::what);
     accepted(json!({"stopping": stopping}))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lights_are_options_and_checked_before() {
+        let asked = |text: &str| serde_json::from_str::<AskedLights>(text).unwrap();
+        let whole =
+            asked(r#"{"lights": "1", "light": ["-40,35"], "until": "5%", "max_lights": "8"}"#);
+        let options: Vec<_> = whole.arguments().collect();
+        let expected = [
+            "--lights=1",
+            "--light=-40,35",
+            "--until=5%",
+            "--max-lights=8",
+        ];
+        assert_eq!(options, expected.map(OsString::from));
+        assert!(whole.check().is_ok() && asked("{}").check().is_ok());
+        for bad in [
+            r#"{"lights": "0"}"#,
+            r#"{"until": "0"}"#,
+            r#"{"until": "5", "max_lights": "61"}"#,
+        ] {
+            assert!(asked(bad).check().is_err(), "{bad}");
+        }
+    }
+}
