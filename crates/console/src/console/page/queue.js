@@ -11,12 +11,18 @@ import { fileOf } from "./session.js";
 import { secondsSince, state, watch } from "./stream.js";
 import { badge } from "./verdict.js";
 
+/** How samples are captured outlives a reload, and the change of the bench. */
+const HOW = "rig-queue-how";
+
 /** Builds the view; the returned function shows and hides it. */
 export function startQueue(view) {
   const lights = h("input", { type: "text", id: "queue-lights", value: "4", "aria-describedby": "queue-lights-help" });
   const enough = untilFields("Expected error that is enough, percent; may stay empty", "", "queue-");
   const asked = () => ({ lights: lights.value.trim(), ...(enough.error.value ? enough.asked() : {}) });
   const fit = h("input", { type: "checkbox", id: "queue-fit", checked: true });
+  const how = [[lights, "value"], [enough.error, "value"], [enough.most, "value"], [fit, "checked"]];
+  JSON.parse(sessionStorage.getItem(HOW) ?? "[]").forEach((value, i) => (how[i][0][how[i][1]] = value));
+  for (const [input] of how) input.addEventListener("change", () => sessionStorage.setItem(HOW, JSON.stringify(how.map(([one, key]) => one[key]))));
   const list = h("ul", { class: "queue" });
   const left = h("p", { class: "fine", role: "status" });
   const next = nextPanel(() => ({ ...asked(), fit: fit.checked }), set);
@@ -121,7 +127,10 @@ function nextPanel(how, set) {
   const sure = h("button", { type: "submit", id: "queue-skip-sure" }, "Leave it out");
   const form = h("form", { class: "row", hidden: true }, field("Why (may stay empty)", reason), sure, h("button", { type: "button", class: "quiet", onclick: () => (form.hidden = true) }, "Cancel"));
   const why = h("p", { class: "why" });
+  const buttons = [go, watchIt, leave, repeat, skip];
+  let stood = null;
   const element = panel("Next", { class: "next" }, what, notes, bar, about, h("div", { class: "row" }, go, watchIt, leave, repeat, skip), form, why);
+  element.addEventListener("focusin", ({ target }) => (stood = target));
   let queue = null;
 
   const step = (more) => async () => {
@@ -151,6 +160,8 @@ function nextPanel(how, set) {
   function show(newer) {
     queue = newer;
     const { next } = queue;
+    const focused = document.activeElement;
+    if (focused !== document.body && !buttons.includes(focused)) stood = null;
     const busy = working();
     const words = {
       capture: () => `${next.run > 1 ? "Take off and put back" : "Put on the bench"}: ${next.sample}${next.of > 1 ? ` (${next.run} of ${next.of})` : ""}`,
@@ -178,6 +189,11 @@ function nextPanel(how, set) {
     const reasonNot = blocked();
     for (const control of [go, leave, repeat, skip, sure]) gate(control, reasonNot);
     say(why, reasonNot ?? "");
+    // Whoever pressed a button that is gone stands on the next one.
+    if (buttons.includes(stood) && stood.hidden) {
+      stood = buttons.find((button) => !button.hidden && !button.disabled) ?? null;
+      stood?.focus();
+    }
   }
   return { element, show };
 }
