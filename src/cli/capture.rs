@@ -20,7 +20,7 @@ use super::table::percent;
 use super::{fit, interrupt, open, operator};
 use crate::capture::Outcome;
 use crate::capture::event_lines::EventLines;
-use crate::capture::lights::{MOST_CHOSEN, direction, lights_or_file, until};
+use crate::capture::lights::{MOST_CHOSEN, direction, lights_or_file, most_chosen, until};
 use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
@@ -48,11 +48,10 @@ pub struct CaptureArgs {
     light: Vec<StageAngles>,
     /// Then adds the most telling light after each until the expected environment error is at
     /// most this, percent; without --lights it begins with one
-    #[arg(long, value_name = "PERCENT", value_parser = until, conflicts_with_all = ["resume", "queue"])]
-    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
+    #[arg(long, value_name = "PERCENT", value_parser = until, conflicts_with = "resume")]
     until: Option<Until>,
     /// Lights at most, 1 to 60
-    #[arg(long, value_name = "N", requires = "until", default_value_t = MOST_CHOSEN, value_parser = clap::value_parser!(u32).range(1..=60))]
+    #[arg(long, value_name = "N", requires = "until", default_value_t = MOST_CHOSEN, value_parser = most_chosen)]
     max_lights: u32,
     /// Minutes on the bench at most, 0.1 to 10000
     #[arg(long, value_name = "MIN", requires = "until", value_parser = within(0.1, 1e4))]
@@ -123,10 +122,20 @@ impl CaptureArgs {
         }
     }
 
-    /// The lights that are named.
+    /// The lights that are named; one, where others follow it.
     fn named_lights(&self) -> Option<Lights> {
         let listed = || (!self.light.is_empty()).then(|| Lights::Listed(self.light.clone()));
-        self.lights.clone().or_else(listed)
+        let first = || self.until.map(|_| Lights::Count(1));
+        self.lights.clone().or_else(listed).or_else(first)
+    }
+
+    /// When a capture has enough.
+    fn until(&self) -> Option<Until> {
+        self.until.map(|until| Until {
+            max_lights: self.max_lights,
+            within_s: self.within.map(|minutes| Seconds(60.0 * minutes)),
+            ..until
+        })
     }
 }
 
@@ -142,6 +151,7 @@ pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
             file,
             folder: &args.out,
             lights: args.named_lights(),
+            until: args.until(),
             only_plan: args.dry_run,
             fits: !args.no_fit,
             json: args.json,
@@ -179,18 +189,14 @@ fn start(
 ) -> Result<Option<(Job, Interrupt)>, CliError> {
     // The plan, while nothing moves.
     let rig = args.rig.resolve(context)?;
-    let lights = args.named_lights();
+    let lights = args.named_lights().unwrap_or(Lights::Count(1));
     let request = CaptureRequest {
         sample: args.sample.clone(),
         material: args.material.clone(),
         comment: args.comment.clone(),
         only_plan: args.dry_run,
-        until: args.until.map(|until| Until {
-            max_lights: args.max_lights,
-            within_s: args.within.map(|minutes| Seconds(60.0 * minutes)),
-            ..until
-        }),
-        ..CaptureRequest::new(lights.unwrap_or(Lights::Count(1)), &args.out)
+        until: args.until(),
+        ..CaptureRequest::new(lights, &args.out)
     };
     let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));

@@ -129,6 +129,7 @@ impl Observer for Bar<'_> {
                 self.bar.set_message("merging");
                 self.left.set(None);
             }
+            Progress::Choosing => self.bar.set_message("choosing the next light"),
             Progress::Decided(decision) => {
                 self.bar.suspend(|| self.context.note(decision.to_string()))
             }

@@ -22,6 +22,7 @@ use crate::queue::{
     Answer, Entry, Fitted, Question, Queue, RunState, Sample, Unreadable, Worker, carry_out,
     overview,
 };
+use crate::session::Until;
 use crate::shown::{escaped, with_causes};
 
 /// Advice on everything that ends a queue before its end.
@@ -37,6 +38,8 @@ pub(super) struct QueueRequest<'a> {
     pub(super) folder: &'a Path,
     /// Lights of samples that name none.
     pub(super) lights: Option<Lights>,
+    /// When a capture has enough, where more lights follow.
+    pub(super) until: Option<Until>,
     /// Whether to stop after the check.
     pub(super) only_plan: bool,
     /// Whether captures are fitted.
@@ -150,6 +153,7 @@ fn lights_of(sample: &Sample, request: &QueueRequest<'_>) -> Option<Lights> {
 fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result<Plan, CliError> {
     let asked = CaptureRequest {
         only_plan: request.only_plan,
+        until: request.until,
         ..CaptureRequest::new(chosen.clone(), request.folder)
     };
     let mut terminal = Terminal::new(context, None);
@@ -233,6 +237,7 @@ impl Worker for Work<'_> {
             sample: Some(sample.name.clone()),
             material: sample.material.clone(),
             comment: sample.comment.clone(),
+            until: self.request.until,
             ..CaptureRequest::new(lights, self.request.folder)
         };
         // What is to be noticed was shown when the queue was checked.

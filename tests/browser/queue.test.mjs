@@ -73,8 +73,14 @@ test("a queue of three on a phone: one skipped and brought back, one repeated", 
   await stepped(page, "Take off and put back: cup (2 of 2)");
   await press(page, "#queue-next");
   await stepped(page, "jar");
+  // Until an error that the first light's fit reaches.
+  await page.type("#queue-until", "100");
   await press(page, "#queue-next");
   await stepped(page, "All samples are done");
+  await page.$eval("#queue-until", (input) => (input.value = ""));
+  await page.evaluate(() => (location.hash = "#capture"));
+  await until(page, "it says why no light follows", () => /Last decision\s+Expected environment error .* no light follows/.test(document.querySelector("#view-capture").innerText));
+  await page.evaluate(() => (location.hash = "#queue"));
   for (const theme of ["light", "dark"]) {
     await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: theme }]);
     assert.deepEqual(await violations(page), []);
@@ -99,6 +105,8 @@ test("a bench is edited and chosen, and its lamp held by hand; STOP ends a quest
   await page.$eval("#rig-text", (text) => (text.value = text.value.replace("name = 3", 'name = "simulated" # by hand')));
   await press(page, "#save-use-rig");
   await until(page, "the page works with it", () => document.querySelector("#link").dataset.kind === "live" && document.querySelector(".benches [aria-current]")?.innerText.includes("torch.toml"));
+  await press(page, "#try-frame");
+  await until(page, "a frame is shown", () => document.querySelector("#tried").innerText.startsWith("A frame of 64") && document.querySelector("img.tried").naturalWidth === 64);
 
   await page.evaluate(() => (location.hash = "#capture"));
   await until(page, "the form is there", () => document.querySelector("#sample")?.checkVisibility());

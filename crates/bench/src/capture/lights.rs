@@ -66,6 +66,17 @@ pub fn until(text: &str) -> Result<Until, String> {
     }
 }
 
+/// Lights at most of a capture that chooses them, 1 to 60.
+///
+/// # Errors
+/// What is expected instead.
+pub fn most_chosen(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(most @ 1..=60) => Ok(most),
+        _ => Err("a number from 1 to 60".to_owned()),
+    }
+}
+
 /// Largest file of directions, bytes.
 const MAX_BYTES: u64 = 1 << 24;
 
@@ -136,6 +147,10 @@ mod tests {
         assert_eq!(until("2.5").unwrap().error, 0.025);
         for bad in ["", "0", "%", "101%", "nan", "5 %%"] {
             assert!(until(bad).is_err(), "{bad}");
+        }
+        assert_eq!(most_chosen("60"), Ok(60));
+        for bad in ["0", "61", ""] {
+            assert!(most_chosen(bad).is_err(), "{bad}");
         }
     }
 

@@ -162,7 +162,9 @@ pub enum Progress {
     },
     /// All frames of a light are taken; the last of them may still wait for the disk.
     LightDone { light: u32 },
-    /// Of a capture that chooses its lights: what was decided after those so far.
+    /// Of a capture that chooses its lights: the lamp rests while a quick fit tells which follows.
+    Choosing,
+    /// What was decided after the lights so far.
     Decided(Decision),
     /// All frames are taken and the lamp is off; the last images are being merged.
     Merging,

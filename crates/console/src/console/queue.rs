@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::blocking::blocking;
 use super::control::Controlled;
-use super::jobs::{Jobs, Kind, Work, capture, option, without_fit};
+use super::jobs::{AskedLights, Jobs, Kind, Work, capture, option, without_fit};
 use super::refusal::{Accepted, Refusal, accepted};
 use super::request::Asked;
 use crate::capture::prepare::Lights;
@@ -172,8 +172,9 @@ fn append(jobs: &Jobs, samples: &str) -> Result<(), Refusal> {
 
 #[derive(Deserialize)]
 struct Next {
-    /// Of samples that name none, as `--lights` takes it.
-    lights: String,
+    /// Of samples that name none.
+    #[serde(flatten)]
+    lights: AskedLights,
     fit: Option<bool>,
     /// An interrupted capture is left as it is, or a session without a fit, instead.
     #[serde(default)]
@@ -195,10 +196,7 @@ fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
     if let Some(kind) = jobs.running() {
         return Err(Refusal::conflict(format!("{} is running", kind.what())));
     }
-    if let Err(fact) = form.lights.parse::<Lights>() {
-        let status = StatusCode::UNPROCESSABLE_ENTITY;
-        return Err(Refusal::new(status, format!("lights: {fact}")));
-    }
+    form.lights.check()?;
     let mut queue = needed(jobs)?;
     let program = jobs.program();
     let work = match queue.step() {
@@ -228,7 +226,7 @@ fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
             let mut arguments = vec!["capture".into(), option("--rig=", &program.rig)];
             arguments.push(option("--out=", &program.folder));
             arguments.push(option("--sample=", &sample.name));
-            arguments.extend(lights_of(&sample, &form.lights));
+            arguments.extend(lights_of(&sample, &form.lights).arguments());
             let notes = [
                 ("--material=", &sample.material),
                 ("--comment=", &sample.comment),
@@ -249,12 +247,15 @@ fn step(jobs: &Jobs, form: &Next) -> Result<Option<Work>, Refusal> {
     Ok(Some(work))
 }
 
-/// The sample's lights as options, else these.
-fn lights_of(sample: &Sample, others: &str) -> Vec<std::ffi::OsString> {
+/// The sample's lights, else these.
+fn lights_of(sample: &Sample, others: &AskedLights) -> AskedLights {
     match texts_of(sample) {
-        (Some(lights), _) => vec![option("--lights=", lights)],
-        (None, listed) if listed.is_empty() => vec![option("--lights=", others)],
-        (None, listed) => listed.iter().map(|at| option("--light=", at)).collect(),
+        (None, listed) if listed.is_empty() => others.clone(),
+        (lights, light) => AskedLights {
+            lights,
+            light,
+            ..others.clone()
+        },
     }
 }
 

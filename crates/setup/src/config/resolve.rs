@@ -34,6 +34,7 @@ const REHEARSALS: &[(&str, &str)] = shipped![
     "rehearsal-flat",
     "rehearsal-ball",
     "rehearsal-board",
+    "rehearsal-corner",
     "rehearsal-edge",
     "rehearsal-tile",
     "rehearsal-torch",
@@ -246,7 +247,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-board", "rehearsal-edge", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-tilted", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-board", "rehearsal-corner", "rehearsal-edge", "rehearsal-flat", "rehearsal-tile", "rehearsal-torch", "simulated", "simulated-5mp-bayer", "simulated-ball", "simulated-tilted", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

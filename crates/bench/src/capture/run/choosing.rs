@@ -38,6 +38,7 @@ impl Run<'_> {
         self.disk.settle().await?;
         self.stored.report(self.observer);
         // The choice takes a while, and other threads.
+        self.observer.observe(&Progress::Choosing);
         let root = self.session.root().to_owned();
         let (chosen, wait) = oneshot::channel();
         std::thread::Builder::new()

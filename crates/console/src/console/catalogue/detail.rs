@@ -30,6 +30,8 @@ pub struct Detail {
     pub report_fit: Option<String>,
     /// Pictures of what was captured.
     pub pictures: Vec<Named>,
+    /// What was decided last, of a capture that chose its lights.
+    pub decision: Option<String>,
     /// What is to be known of the capture.
     pub warnings: Vec<String>,
     /// Its latest validation, if it has one.
@@ -84,6 +86,7 @@ impl SessionPages {
                     row: Row::failed(name, entry_fault(&error, advisor)),
                     report_fit: None,
                     pictures: Vec::new(),
+                    decision: None,
                     warnings: Vec::new(),
                     validation: None,
                 });
@@ -104,6 +107,11 @@ impl SessionPages {
             row: Row::of(&session, name, fits.into_iter().map(fit).collect()),
             report_fit: report_fit(&session),
             pictures: pictures::of_session(&session),
+            decision: session
+                .journal()
+                .decisions()
+                .last()
+                .map(|one| one.to_string()),
             warnings: warnings(&session),
             validation: validation_detail(&session, advisor),
         })

@@ -56,7 +56,10 @@ impl Guides {
     /// The bench whose target a simulated one lacks; `None` where the target is there, or an
     /// operator puts it there.
     fn lacks(&self, guide: &Guide) -> Option<&'static str> {
-        let target = guide.rehearsal.filter(|_| self.rig.config.is_simulated());
+        let rig = &self.rig.config;
+        // What is not looked for is the sample itself, which all benches have but the rehearsals'.
+        let is_there = !guide.can_check && rig.name != REHEARSAL;
+        let target = guide.rehearsal.filter(|_| rig.is_simulated() && !is_there);
         target.filter(|target| self.jobs.program().rig != **target)
     }
 
@@ -192,12 +195,13 @@ async fn records(State(guides): State<Guides>) -> Result<Json<Value>, Refusal> {
     let asked = guides.jobs.ask(arguments.into(), Vec::new(), SHORT).await?;
     let mut status = asked.value;
     let records = status.get_mut("records").and_then(Value::as_array_mut);
+    let can_be_made = Trial::of_rig(&guides.rig).is_some();
     for record in records.into_iter().flatten() {
         // Whether or not it is needed now.
         if let Ok(kind) = serde_json::from_value::<RecordKind>(record["kind"].clone()) {
             let command = kind.command();
             record["command"] = format!("rig calibrate {command} --rig {}", quoted(rig)).into();
-            record["guide"] = json!(guide_of(kind));
+            record["guide"] = json!(guide_of(kind).filter(|_| can_be_made));
         }
     }
     Ok(Json(status))

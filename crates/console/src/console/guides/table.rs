@@ -359,7 +359,7 @@ pub const GUIDES: &[Guide] = &[
             several: false,
         },
         values: &[],
-        rehearsal: None,
+        rehearsal: Some("rehearsal-corner"),
         can_check: false,
     },
 ];

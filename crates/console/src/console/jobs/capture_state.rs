@@ -40,6 +40,8 @@ pub struct CaptureState {
     pub drift_percent: Option<f64>,
     /// Its standard uncertainty, percent.
     pub drift_u_percent: Option<f64>,
+    /// What was decided last, of a capture that chooses its lights.
+    pub decision: Option<String>,
     /// Oldest first.
     pub warnings: Vec<String>,
     /// Why it failed.
@@ -69,6 +71,8 @@ pub enum Phase {
     Moving,
     /// Frames are taken.
     Exposing,
+    /// A quick fit tells which light follows; the lamp is off.
+    Choosing,
     /// The last images are being merged; the lamp is off.
     Merging,
     /// Lamp off, stage standing.
@@ -209,7 +213,9 @@ impl CaptureState {
                     light.state = LightState::Done;
                 }
             }
+            Choosing => self.state = Phase::Choosing,
             Decided(decision) => {
+                self.decision = Some(decision.to_string());
                 let index = self.lights.len();
                 let next = decision.next();
                 self.lights.extend(next.map(|at| Light::to_come(index, at)));

@@ -30,7 +30,7 @@ pub use self::capture_state::{CaptureState, StoredFrame};
 pub use self::job_state::{Kind, State};
 pub use self::query::{Answer, QueryError, query};
 pub use self::routes::routes;
-pub(super) use self::routes::{SHORT, capture, option, without_fit};
+pub(super) use self::routes::{AskedLights, SHORT, capture, option, without_fit};
 pub use crate::shell_words::command_line as shown;
 
 use self::job_state::JobState;

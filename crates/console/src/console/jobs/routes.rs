@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 use super::job_state::Kind;
 use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
 use crate::beneath;
+use crate::capture::lights::{Lights, most_chosen, until};
 use crate::config::RIG_FILE;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
@@ -29,13 +30,67 @@ const PLANNING: Duration = Duration::from_secs(120);
 /// Lights that may be listed one by one.
 const MOST_LIGHTS: usize = 500;
 
+/// The lights of a form, each as the option of this name takes it.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub struct AskedLights {
+    /// How many, or which.
+    pub lights: Option<String>,
+    /// Directions.
+    #[serde(default)]
+    pub light: Vec<String>,
+    /// The expected error until which others follow.
+    pub until: Option<String>,
+    /// Lights at most then.
+    pub max_lights: Option<String>,
+}
+
+impl AskedLights {
+    /// As options.
+    pub fn arguments(&self) -> impl Iterator<Item = OsString> {
+        let one = |name, value: &Option<String>| value.as_ref().map(|value| option(name, value));
+        let listed = self.light.iter().map(|at| option("--light=", at));
+        one("--lights=", &self.lights)
+            .into_iter()
+            .chain(listed)
+            .chain(one("--until=", &self.until))
+            .chain(one("--max-lights=", &self.max_lights))
+    }
+
+    fn texts(&self) -> impl Iterator<Item = &String> {
+        let one = self.lights.iter().chain(&self.until);
+        self.light.iter().chain(one).chain(&self.max_lights)
+    }
+
+    /// Before anything follows from them.
+    ///
+    /// # Errors
+    /// What is no light, error or number.
+    pub fn check(&self) -> Result<(), Refusal> {
+        let one = |name: &str, value: &Option<String>, checked: fn(&str) -> Result<(), String>| {
+            let fact = value.as_deref().and_then(|value| checked(value).err());
+            fact.map(|fact| format!("{name}: {fact}"))
+        };
+        let fact = one("lights", &self.lights, |text| {
+            text.parse::<Lights>().map(drop)
+        })
+        .or_else(|| one("until", &self.until, |text| until(text).map(drop)))
+        .or_else(|| {
+            one("max_lights", &self.max_lights, |text| {
+                most_chosen(text).map(drop)
+            })
+        });
+        fact.map_or(Ok(()), |fact| {
+            Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact))
+        })
+    }
+}
+
 /// The form of a capture.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub struct CaptureForm {
     sample: Option<String>,
-    lights: Option<String>,
-    #[serde(default)]
-    light: Vec<String>,
+    #[serde(flatten)]
+    lights: AskedLights,
     fit: Option<bool>,
 }
 
@@ -44,14 +99,11 @@ impl CaptureForm {
     /// read as options; whether they are right decides the command itself.
     fn arguments(&self, jobs: &Jobs) -> Result<Vec<OsString>, Refusal> {
         let program = jobs.program();
-        let texts = self.light.iter().chain(&self.lights).chain(&self.sample);
-        if let Some(bad) = texts
-            .clone()
-            .find(|text| text.chars().any(char::is_control))
-        {
+        let mut texts = self.lights.texts().chain(&self.sample);
+        if let Some(bad) = texts.find(|text| text.chars().any(char::is_control)) {
             return Err(Refusal::bad(format!("{bad:?} has control characters")));
         }
-        if self.light.len() > MOST_LIGHTS {
+        if self.lights.light.len() > MOST_LIGHTS {
             return Err(Refusal::bad(format!("more than {MOST_LIGHTS} lights")));
         }
         if let Some(sample) = &self.sample {
@@ -61,8 +113,7 @@ impl CaptureForm {
         let mut arguments = vec!["capture".into(), option("--rig=", &program.rig)];
         arguments.push(option("--out=", &program.folder));
         arguments.extend(self.sample.iter().map(|sample| option("--sample=", sample)));
-        arguments.extend(self.lights.iter().map(|lights| option("--lights=", lights)));
-        arguments.extend(self.light.iter().map(|light| option("--light=", light)));
+        arguments.extend(self.lights.arguments());
         arguments.extend(without_fit(self.fit));
         Ok(arguments)
     }
@@ -322,4 +373,32 @@ async fn answer(
 async fn stop(State(jobs): State<Jobs>) -> Accepted {
     let stopping = jobs.stop().map(Kind::what);
     accepted(json!({"stopping": stopping}))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lights_are_options_and_checked_before() {
+        let asked = |text: &str| serde_json::from_str::<AskedLights>(text).unwrap();
+        let whole =
+            asked(r#"{"lights": "1", "light": ["-40,35"], "until": "5%", "max_lights": "8"}"#);
+        let options: Vec<_> = whole.arguments().collect();
+        let expected = [
+            "--lights=1",
+            "--light=-40,35",
+            "--until=5%",
+            "--max-lights=8",
+        ];
+        assert_eq!(options, expected.map(OsString::from));
+        assert!(whole.check().is_ok() && asked("{}").check().is_ok());
+        for bad in [
+            r#"{"lights": "0"}"#,
+            r#"{"until": "0"}"#,
+            r#"{"until": "5", "max_lights": "61"}"#,
+        ] {
+            assert!(asked(bad).check().is_err(), "{bad}");
+        }
+    }
 }

@@ -95,6 +95,10 @@ function isLow() {
   return state.bench?.stage?.position?.elevation_deg < 15;
 }
 
+/** How often a target is looked for, until it is placed, and the time in between. */
+const LOOKS = 15;
+const LOOK_MS = 2000;
+
 /** How the target is placed, and whether it is. */
 function placePart(live, current) {
   const steps = h("div", { class: "stack" });
@@ -104,31 +108,41 @@ function placePart(live, current) {
   const check = h("button", { type: "button", id: "check-target" }, "Is it placed?");
   const seen = h("p", { role: "status", id: "target-seen" });
   const failed = h("p", { class: "error", role: "alert" });
+  let again = null;
   const look = h("div", { class: "stack" }, live.picture, h("div", { class: "row" }, connect, check), failed, seen);
-  const element = h("div", { class: "stack" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
+  const element = h("div", { class: "two even" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
   connect.addEventListener("click", () => {
     automatic(true);
     if (!state.bench?.connected) return attempt("api/bench/connect");
     if (state.bench.stage?.position === null) return attempt("api/bench/home");
     if (isLow()) {
-      const [azimuth_deg, elevation_deg] = /^(-?[\d.]+),(-?[\d.]+)$/.exec(current().lights)?.slice(1).map(Number) ?? [0, 45];
+      const [azimuth_deg, elevation_deg] = /^(-?[\d.]+),(-?[\d.]+)$/.exec(current().lights)?.slice(1).map(Number) ?? [0, 75];
       return attempt("api/bench/move", { azimuth_deg, elevation_deg });
     }
     attempt("api/bench/lamp", { channel: state.bench.stage?.lamp === null ? 0 : null });
   });
-  check.addEventListener("click", async () => {
+  check.addEventListener("click", () => {
     say(seen, "Looking …");
-    try {
-      const { guide, values } = current();
-      const found = await askWith("api/guides/check", { kind: guide.kind, values });
-      say(seen, `${found.is_right ? "Yes" : "Not yet"}: ${found.seen}.`);
-      seen.className = found.is_right ? "" : "warn";
-    } catch (failure) {
-      say(seen, capital(failure.message));
-      seen.className = "warn";
-    }
+    lookFor(current().guide, LOOKS);
   });
+  /** Looks so many times: the exposure may still be adjusted, and the target moved. */
+  async function lookFor(guide, times) {
+    clearTimeout(again);
+    let is_right = false;
+    try {
+      const found = await askWith("api/guides/check", { kind: guide.kind, values: current().values });
+      if (current()?.guide.kind !== guide.kind) return;
+      is_right = found.is_right;
+      say(seen, `${is_right ? "Yes" : "Not yet"}: ${found.seen}.`);
+    } catch (failure) {
+      times = 0;
+      say(seen, capital(failure.message));
+    }
+    seen.className = is_right ? "" : "warn";
+    if (!is_right && times > 1 && seen.checkVisibility()) again = setTimeout(() => current()?.guide.kind === guide.kind && lookFor(guide, times - 1), LOOK_MS);
+  }
   function show({ guide }) {
+    if (steps.drawnFrom !== JSON.stringify(guide.kind)) say(seen, "");
     redraw(steps, guide.kind, () => [targetDrawing(guide.kind), h("ul", { class: "steps" }, guide.place.map((sentence) => h("li", {}, sentence)))]);
     const rig = state.console?.rig;
     const itself = rig?.simulated && guide.frames === "own";
@@ -318,7 +332,7 @@ function resultPart(reload) {
     element.hidden = working() || !(mine || records.length);
     if (element.hidden) return;
     say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}.`);
-    const lines = mine ? (job.log ?? []).filter((line) => !line.startsWith("figure: ")) : [];
+    const lines = mine ? (job.log ?? []).filter((line) => !/^(figure|EMVA 1288 figures): /.test(line)).map((line) => line.replace("/.trial/", "/")) : [];
     redraw(said, lines, () => lines.map((line) => h("li", { class: /^(warning|error|hint)/.test(line) ? "warn" : null }, line)));
     redraw(figure, [records, run.trial?.has_figure], () => (records.length && run.trial.has_figure ? [h("figure", {}, h("img", { src: `api/guides/figure.png?of=${encodeURIComponent(records[0])}`, alt: `The figure of ${records[0]}` }))] : []));
     buttons.hidden = !records.length;

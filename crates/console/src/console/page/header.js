@@ -74,7 +74,7 @@ function showRig() {
   since ??= state.console.since;
   if (since !== state.console.since) return location.reload();
   say(by("rig-name"), rig.name);
-  by("simulated").hidden = !rig.simulated;
+  by("simulated").hidden = !rig.simulated || rig.name === "simulated";
   showTitle();
   document.body.classList.toggle("camera-alone", state.console.mode === "camera");
 }

@@ -12,7 +12,7 @@ import { state, watch } from "./stream.js";
 
 const WAIT_MS = 500;
 /** `best:N` compares many directions, which takes seconds; it is planned when asked for. */
-const AT_ONCE = ["count", "all", "listed"];
+const AT_ONCE = ["count", "all", "listed", "until"];
 
 /** The part of the view; `look(on)` when it is shown or hidden. */
 export function preparePart() {
@@ -44,6 +44,7 @@ function captureForm() {
   const sample = h("input", { type: "text", id: "sample", required: true, maxlength: "64", pattern: "[A-Za-z0-9._\\-]+", placeholder: "red-paint", autocomplete: "off", autocapitalize: "off", spellcheck: "false", "aria-describedby": "sample-help" });
   const many = h("input", { type: "number", id: "lights", min: "1", max: "200", value: "4", "aria-label": "Number of lights" });
   const best = h("input", { type: "number", id: "best", min: "1", max: "60", value: "4", "aria-label": "Number of most informative lights" });
+  const enough = untilFields("Expected error that is enough, percent", "5");
   const radio = (value, ...label) => {
     const input = h("input", { type: "radio", name: "choice", value, checked: value === "count" });
     return h("label", { class: "choice" }, input, h("span", {}, label));
@@ -72,6 +73,7 @@ function captureForm() {
       radio("count", "evenly spread: ", many),
       radio("all", "all that the stage reaches, 15° apart"),
       radio("best", "the most informative: ", best, " (takes some seconds)"),
+      radio("until", "as many as it takes: from one on, each time the most telling one, until the expected error is at most ", enough.error, " %, but at most ", enough.most),
       radio("listed", "those that I list: click them on the hemisphere"),
       listed,
     ),
@@ -89,8 +91,8 @@ function captureForm() {
 
   const choice = () => form.elements.choice.value;
   function body() {
-    const lights = { count: String(many.valueAsNumber || ""), all: "all", best: `best:${best.valueAsNumber || ""}`, listed: null }[choice()];
-    return { sample: sample.value || null, lights, light: choice() === "listed" ? directions.map(([az, el]) => `${az},${el}`) : [], fit: fit.checked };
+    const lights = { count: String(many.valueAsNumber || ""), all: "all", best: `best:${best.valueAsNumber || ""}`, listed: null, until: null }[choice()];
+    return { sample: sample.value || null, lights, light: choice() === "listed" ? directions.map(([az, el]) => `${az},${el}`) : [], ...(choice() === "until" ? enough.asked() : {}), fit: fit.checked };
   }
   /** Why it can't be planned, or null. */
   function incomplete() {
@@ -98,6 +100,7 @@ function captureForm() {
     if (choice() === "listed" && directions.length === 0) return "List a direction at least: click it on the hemisphere.";
     if (choice() === "count" && !(many.validity.valid && many.value)) return "State a number of lights from 1 to 200.";
     if (choice() === "best" && !(best.validity.valid && best.value)) return "State a number of lights from 1 to 60.";
+    if (choice() === "until") return enough.incomplete();
     return null;
   }
 
@@ -188,11 +191,29 @@ function angle(azimuth1, elevation1, azimuth2, elevation2) {
   return Math.acos(Math.min(1, Math.max(-1, cosine))) / rad;
 }
 
-function composed({ sample, lights, light, fit }) {
+/** When a capture has enough: an error in percent, and lights at most; `value`: the error at first, "" for none. */
+export function untilFields(label, value, id = "") {
+  const error = h("input", { type: "number", id: `${id}until`, min: "0.1", max: "100", step: "any", value, inputmode: "decimal", "aria-label": label });
+  const most = h("input", { type: "number", id: `${id}most`, min: "1", max: "60", value: "12", inputmode: "numeric", "aria-label": "Lights at most" });
+  return {
+    error,
+    most,
+    /** Why they can't be asked for, or null. */
+    incomplete() {
+      if (!error.value || !error.validity.valid) return "State an error that is enough, from 0.1 to 100 percent.";
+      return most.validity.valid && most.value ? null : "State how many lights at most, from 1 to 60.";
+    },
+    /** As a request takes them. */
+    asked: () => ({ until: error.value, max_lights: most.value }),
+  };
+}
+
+function composed({ sample, lights, light, until, max_lights, fit }) {
   const words = ["rig", "capture"];
   if (sample) words.push("--sample", sample);
   if (lights) words.push("--lights", lights);
   for (const one of light) words.push(`--light=${one}`);
+  if (until) words.push("--until", until, "--max-lights", max_lights);
   if (!fit) words.push("--no-fit");
   return words.join(" ");
 }
@@ -201,7 +222,8 @@ function planRows(plan) {
   const e = plan.exposure ?? {};
   return [
     ["Lights", plan.lights ? String(plan.lights.length) : null],
-    ["Time", Number.isFinite(plan.estimated_s) ? `about ${span(plan.estimated_s)}, without the fit` : null],
+    ["Then", plan.until ? `the most telling, until the expected error is at most ${digits(100 * plan.until.error, 2)} %; ${plan.until.max_lights} lights at most` : null],
+    ["Time", Number.isFinite(plan.estimated_s) ? `${plan.until ? "at most " : ""}about ${span(plan.estimated_s)}, without the ${plan.until ? "fits" : "fit"}` : null],
     ["Disk", Number.isFinite(plan.estimated_bytes) ? `about ${bytes(plan.estimated_bytes)}` : null],
     ["Exposures", Number.isFinite(e.shortest_s) ? `${exposure(e.shortest_s)} to ${exposure(e.longest_s)}, up to ${e.max_frames} frames of each` : null],
     ["Dark SNR", Number.isFinite(e.dark_snr) ? `at least ${digits(e.dark_snr, 2)} in the sample's dark parts` : null],

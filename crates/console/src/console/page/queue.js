@@ -5,24 +5,33 @@ import { field, gate, h, panel, redraw, say } from "./dom.js";
 import { span } from "./format.js";
 import { attempt, blocked, capturing, working } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
+import { untilFields } from "./prepare.js";
 import { slowPicture } from "./picture.js";
 import { fileOf } from "./session.js";
 import { secondsSince, state, watch } from "./stream.js";
 import { badge } from "./verdict.js";
 
+/** How samples are captured outlives a reload, and the change of the bench. */
+const HOW = "rig-queue-how";
+
 /** Builds the view; the returned function shows and hides it. */
 export function startQueue(view) {
   const lights = h("input", { type: "text", id: "queue-lights", value: "4", "aria-describedby": "queue-lights-help" });
+  const enough = untilFields("Expected error that is enough, percent; may stay empty", "", "queue-");
+  const asked = () => ({ lights: lights.value.trim(), ...(enough.error.value ? enough.asked() : {}) });
   const fit = h("input", { type: "checkbox", id: "queue-fit", checked: true });
+  const how = [[lights, "value"], [enough.error, "value"], [enough.most, "value"], [fit, "checked"]];
+  JSON.parse(sessionStorage.getItem(HOW) ?? "[]").forEach((value, i) => (how[i][0][how[i][1]] = value));
+  for (const [input] of how) input.addEventListener("change", () => sessionStorage.setItem(HOW, JSON.stringify(how.map(([one, key]) => one[key]))));
   const list = h("ul", { class: "queue" });
   const left = h("p", { class: "fine", role: "status" });
-  const next = nextPanel(() => ({ lights: lights.value.trim(), fit: fit.checked }), set);
+  const next = nextPanel(() => ({ ...asked(), fit: fit.checked }), set);
   const more = addPanel(set);
   view.append(
     h(
       "div",
       { class: "two" },
-      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
+      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("p", { class: "inline" }, "Then the most telling ones, until the expected error is at most ", enough.error, " % (may stay empty), but at most ", enough.most, " lights."), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
       panel("Samples", {}, left, list),
     ),
   );
@@ -45,7 +54,7 @@ export function startQueue(view) {
       let newer = await ask("api/queue");
       // Without fits a captured sample is done.
       if (newer.next.step === "fit" && !fit.checked && !working() && !blocked()) {
-        await act("api/queue/next", { lights: lights.value, leave: true });
+        await act("api/queue/next", { lights: lights.value.trim(), leave: true });
         newer = await ask("api/queue");
       }
       set(newer);
@@ -57,7 +66,7 @@ export function startQueue(view) {
   /** The lights of a sample: its own, or those of the form. */
   function lightsOf(row) {
     const own = row.lights !== null || row.light.length > 0;
-    return { lights: own ? row.lights : lights.value.trim() || null, light: row.light, fit: false };
+    return { ...asked(), lights: own ? row.lights : lights.value.trim() || null, light: row.light, fit: false };
   }
 
   /** What each sample that is left takes, by a dry run for all of the same lights. */
@@ -85,7 +94,7 @@ export function startQueue(view) {
     redraw(list, [queue.rows, reason, capturing() ? capture?.sample : null], () => queue.rows.flatMap((row) => rowsOf(row, reason, set)));
   }
 
-  lights.addEventListener("change", plan);
+  for (const one of [lights, enough.error, enough.most]) one.addEventListener("change", plan);
   fit.addEventListener("change", load);
   watch(["control", "link", "capture"], show);
   watch(["job"], () => {
@@ -118,7 +127,10 @@ function nextPanel(how, set) {
   const sure = h("button", { type: "submit", id: "queue-skip-sure" }, "Leave it out");
   const form = h("form", { class: "row", hidden: true }, field("Why (may stay empty)", reason), sure, h("button", { type: "button", class: "quiet", onclick: () => (form.hidden = true) }, "Cancel"));
   const why = h("p", { class: "why" });
+  const buttons = [go, watchIt, leave, repeat, skip];
+  let stood = null;
   const element = panel("Next", { class: "next" }, what, notes, bar, about, h("div", { class: "row" }, go, watchIt, leave, repeat, skip), form, why);
+  element.addEventListener("focusin", ({ target }) => (stood = target));
   let queue = null;
 
   const step = (more) => async () => {
@@ -148,6 +160,8 @@ function nextPanel(how, set) {
   function show(newer) {
     queue = newer;
     const { next } = queue;
+    const focused = document.activeElement;
+    if (focused !== document.body && !buttons.includes(focused)) stood = null;
     const busy = working();
     const words = {
       capture: () => `${next.run > 1 ? "Take off and put back" : "Put on the bench"}: ${next.sample}${next.of > 1 ? ` (${next.run} of ${next.of})` : ""}`,
@@ -175,6 +189,11 @@ function nextPanel(how, set) {
     const reasonNot = blocked();
     for (const control of [go, leave, repeat, skip, sure]) gate(control, reasonNot);
     say(why, reasonNot ?? "");
+    // Whoever pressed a button that is gone stands on the next one.
+    if (buttons.includes(stood) && stood.hidden) {
+      stood = buttons.find((button) => !button.hidden && !button.disabled) ?? null;
+      stood?.focus();
+    }
   }
   return { element, show };
 }

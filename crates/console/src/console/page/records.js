@@ -65,6 +65,6 @@ export function calibrationsPanel() {
         h("details", {}, h("summary", {}, record.guide ? "At the terminal" : "How it is made"), target ? h("p", { class: "fine" }, `Before the camera: ${target}.`) : null, record.method ? h("p", { class: "fine" }, `The present one: ${record.method}.`) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, record.command), copyButton(() => record.command, record.command))),
       );
     };
-    return h("div", {}, h("ul", { class: "calibrations" }, records.map(item)), library ? h("p", { class: "fine" }, `Records in ${library}.`) : null);
+    return h("div", {}, h("ul", { class: "calibrations" }, records.map(item)), h("p", { class: "fine" }, records.some((record) => record.guide) ? `Records in ${library}.` : "These records are built into the program. Others are made with a rig file of your own, or on the bench of the rehearsals."));
   });
 }

@@ -18,6 +18,7 @@ const STATES = {
   homing: "Homing the stage",
   moving: "Moving the lamp",
   exposing: "Exposing",
+  choosing: "Choosing the next light by a quick fit, lamp off",
   merging: "Merging the frames",
   paused: "Paused, lamp off",
   fitting: "Fitting the BRDF",
@@ -139,6 +140,7 @@ function progressPanel(onleave) {
     facts(list, [
       ["Time left", running && Number.isFinite(left) && capture.state !== "fitting" ? (left > 0 ? span(left) : "a moment") : null],
       ["Lights", lights.length ? `${lights.filter((light) => light.state === "done").length} of ${lights.length} done` : null],
+      ["Last decision", capture?.decision ? capital(capture.decision) : null],
       ["Drift over the session", Number.isFinite(capture?.drift_percent) ? drift(capture.drift_percent, capture.drift_u_percent ?? NaN) : null],
       ["Disk free", Number.isFinite(capture?.disk_free_bytes) ? bytes(capture.disk_free_bytes) : null],
       ["Session", sessionName(capture?.session) || null],

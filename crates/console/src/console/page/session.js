@@ -4,7 +4,7 @@ import { ask } from "./api.js";
 import { facts, h, panel, redraw } from "./dom.js";
 import { short, when } from "./format.js";
 import { capturing } from "./header.js";
-import { complain } from "./notices.js";
+import { capital, complain } from "./notices.js";
 import { slowPicture } from "./picture.js";
 import { resumeButtons, sessionName } from "./running.js";
 import { state } from "./stream.js";
@@ -75,6 +75,7 @@ function details(session) {
   facts(list, [
     ["Captured", session.began ? when(session.began) : null],
     ["Lights", session.error ? null : done(session)],
+    ["Last decision", session.decision ? capital(session.decision) : null],
     ["Bench", session.simulated ? "simulated" : null],
     ["True material", short(session.true_material) ?? null],
     ["Latest fit", quality(fit)],

@@ -7,6 +7,7 @@ import { drawing } from "./drawings.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
 import { watch } from "./stream.js";
+import { tryPanel } from "./trying.js";
 
 /** The parts of a bench in the order of their questions: id, heading, and which keys belong to it. */
 const SECTIONS = [
@@ -35,6 +36,7 @@ export function startSetup(view) {
       "div",
       { class: "stack narrow" },
       benches.element,
+      tryPanel(),
       panel("A new bench of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file; a second bench gets a file with its own name."), form),
       result,
     ),

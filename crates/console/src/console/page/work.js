@@ -146,7 +146,7 @@ function progressPanel() {
     redraw(more, files.slice(1), () => files.slice(1).map((file) => h("a", { class: "button", href: file, download: true }, `Download ${nameOf(file)}`)));
     // A file of this name may have been replaced by this job.
     const pictures = files.filter((file) => file.endsWith(".png"));
-    redraw(seen, [pictures, job.began], () => pictures.map((file) => h("figure", {}, h("img", { src: `${file}?of=${encodeURIComponent(job.began ?? "")}`, alt: "The exported material next to the fitted one" }), h("figcaption", {}, "the fitted material, the exported one, and their difference"))));
+    redraw(seen, [pictures, job.began], () => pictures.map((file) => h("figure", {}, h("img", { src: `${file}?of=${encodeURIComponent(job.began ?? "")}`, alt: "The exported material next to the fitted one" }), h("figcaption", {}, "the fitted material, the exported one, their difference, and 18% grey"))));
     // An export says little, and all of it matters: how far the material is from the fit, or why there is none.
     const lines = job.log ?? [];
     const short = job.kind === "export" && !running;

@@ -39,6 +39,7 @@ const FILES: &[(&str, &str)] = files![
     "session.js",
     "compare.js",
     "curves.js",
+    "trying.js",
     "work.js",
     "shortcuts.js",
     "setup.js",
