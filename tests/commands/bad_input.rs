@@ -18,7 +18,7 @@ missing rig file | doctor --rig nowhere/rig.toml | | nowhere/rig.toml: No such f
 rig file that is a folder | doctor --rig ./ | | Is a directory | check the path
 rig file that is no text | doctor --rig noise.toml | | noise.toml: it is no UTF-8 text | TOML
 rig file that is a device | doctor --rig /dev/null | | /dev/null: it is a device, not a regular file | regular file
-unknown rig name | doctor --rig simulate | | there is no rig named "simulate"; known: dmx-dome-v4l2, grbl-arm-tilted, grbl-arm-v4l2, rehearsal-ball, rehearsal-board, rehearsal-edge, rehearsal-flat, rehearsal-tile, rehearsal-torch, simulated, simulated-5mp-bayer, simulated-ball, simulated-tilted, zaber-gantry-v4l2 | did you mean `simulated`?
+unknown rig name | doctor --rig simulate | | there is no rig named "simulate"; known: dmx-dome-v4l2, grbl-arm-tilted, grbl-arm-v4l2, rehearsal-ball, rehearsal-board, rehearsal-corner, rehearsal-edge, rehearsal-flat, rehearsal-tile, rehearsal-torch, simulated, simulated-5mp-bayer, simulated-ball, simulated-tilted, zaber-gantry-v4l2 | did you mean `simulated`?
 not TOML | doctor --rig rig.toml | [rig] => [rig | not valid TOML | toml.io
 unknown key | doctor --rig rig.toml | bit_depth = 12 => bit_deth = 12 | `camera.bit_depth` is missing; it must be an integer from 8 to 16 | is `bit_deth` meant to be it?
 unknown key beside all that are needed | doctor --rig rig.toml | max_frames = => max_frame = | unknown key `capture.max_frame`; known here: shortest_ms, | did you mean `max_frames`?
