@@ -31,10 +31,13 @@ export function tryPanel() {
     return "The stage has found its reference.";
   });
   const lamp = test("Lamp on for 2 s", "try-lamp", async () => {
-    await act("api/bench/lamp", { channel: 0 });
-    await reached(() => state.bench.stage?.lamp === 0);
-    await after(LAMP_MS);
-    await act("api/bench/lamp", { channel: null });
+    try {
+      await act("api/bench/lamp", { channel: 0 });
+      await reached(() => state.bench.stage?.lamp === 0);
+      await after(LAMP_MS);
+    } finally {
+      await act("api/bench/lamp", { channel: null });
+    }
     await reached(() => state.bench.stage?.lamp === null);
     return `The lamp was on (${state.console?.rig?.channels?.[0] ?? "its first channel"}) and is off.${state.bench.stage?.lamp_word === "reported" ? "" : " This stage does not report its lamp: did you see it?"}`;
   });
