@@ -48,7 +48,7 @@ pub static DESIGNS: Experiment = Experiment {
 
 /// A sample with its camera and lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Design {
+pub(super) enum Design {
     Bowl,
     Ridge,
     Cap,
@@ -61,7 +61,7 @@ type Lamps = &'static [(f64, f64)];
 impl Design {
     const ALL: [Self; 4] = [Self::Bowl, Self::Ridge, Self::Cap, Self::Ball];
 
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Bowl => "bowl",
             Self::Ridge => "ridge",
@@ -147,7 +147,8 @@ impl Design {
         .ok_or_else(|| EvaluateError::Fact("the camera's pose is singular".to_owned()))
     }
 
-    fn scene(
+    /// The scene with one, two or four images' lamps.
+    pub(super) fn scene(
         self,
         images: usize,
         resolution_px: usize,

@@ -134,8 +134,9 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
     let brdf = material(lab, Class::InSpan, index)?;
     let seed = lab.settings.seed.wrapping_add(index);
     let defect = error.map(|error| Defect::Form(error, seed));
-    let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
     let lights = sample.lights(lab.settings.lights);
+    let sound = sample.true_scene(lab.settings.resolution_px, lights.clone())?;
+    let images = capture(lab, &sound, &*brdf, defect.as_ref(), index)?;
     let scene = sample.scene(lab.settings.resolution_px, lights)?;
     let captured = average(&scene, &images, &lab.dictionary)?;
     let one = |form_error| -> Result<Trial, EvaluateError> {

@@ -14,7 +14,7 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
-use crate::transport::Cells;
+use crate::transport::{Cells, Scene};
 
 /// Pointwise coverage of the 95% intervals.
 pub static INTERVALS: Experiment = Experiment {
@@ -76,20 +76,17 @@ impl Known {
     }
 }
 
-/// A noisy capture of `material` from `sample` under the settings' lights, with
-/// `defect`.
+/// A noisy capture of `brdf` in the true scene `sound`, with `defect`.
 pub(super) fn capture(
     lab: &Lab,
-    sample: Sample,
+    sound: &Scene,
     brdf: &dyn Brdf,
     defect: Option<&Defect>,
     index: u64,
 ) -> Result<Vec<RadianceImage>, EvaluateError> {
-    let lights = sample.lights(lab.settings.lights);
-    let sound = sample.true_scene(lab.settings.resolution_px, lights)?;
     let truth = match defect {
-        Some(defect) => &defect.scene(&sound)?,
-        None => &sound,
+        Some(defect) => &defect.scene(sound)?,
+        None => sound,
     };
     let mut options = lab.truth_options(truth, brdf);
     options.seed = options.seed.wrapping_add(index << 20);
@@ -236,7 +233,11 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
     let mut numbers = stream(seed, Purpose::BenchPerturbation, index, 0, 0);
     let truth = misaligned::draw(&bench, &mut numbers);
     let scene = bench.scene(&truth);
-    let images = capture(lab, sample, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
+    let sound = sample.true_scene(
+        lab.settings.resolution_px,
+        sample.lights(lab.settings.lights),
+    )?;
+    let images = capture(lab, &sound, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
     let (dictionary, options) = (&lab.dictionary, options(lab, class, index)?);
     let images = average(&described, &images, dictionary)?;
     let quiet = &();
