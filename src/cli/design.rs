@@ -13,18 +13,17 @@ use super::{CliError, Context};
 use crate::brdf::nbrdf;
 use crate::config::scene::SceneFile;
 use crate::design::{self, Design, DesignError, DesignRequest, Lamp, Limits, Reach};
+use crate::geometry::shapes::Form;
 use crate::inverse::expected_error::{BANDS, BANDS_DEG, ExpectedError, USUAL};
 use crate::out;
 
 /// Designs a sample with its camera and lamps, or tells what given ones are expected to leave open
 ///
-/// What counts is the environment error that a fit is expected to have, the geometric mean over some
-/// embedded materials.
+/// What counts is the environment error that a fit is expected to have, over some embedded materials.
 #[derive(clap::Args, Debug)]
 #[command(group(clap::ArgGroup::new("task").required(true).args(["out", "evaluate", "lights_only"])))]
 pub struct DesignArgs {
-    /// Folder for the design: scene, lamps for `rig capture --lights FILE`, surface (STL, PLY), drawing
-    /// (SVG), figures (JSON)
+    /// Folder for the design: scene, lamps (`rig capture --lights FILE`), surface (PLY), what to make (STL), drawing (SVG), figures (JSON)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Instead: the expected errors of these scene files
@@ -36,23 +35,31 @@ pub struct DesignArgs {
     /// Lamps, 1 to 12
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=12))]
     images: u64,
+    /// Turned about its axis, or drawn along a line: sheets can be pressed over the latter alone
+    #[arg(long, value_name = "FORM", default_value = "revolved", value_parser = design::form)]
+    form: Form,
     /// From the sample's axis to its rim, mm, 1 to 1000
     #[arg(long, value_name = "MM", default_value_t = Limits::default().radius_mm, value_parser = within(1.0, 1e3))]
     radius: f64,
     /// Steepest slope of the sample, degrees, 5 to 85
     #[arg(long, value_name = "DEG", default_value_t = Limits::default().max_slope_deg, value_parser = within(5.0, 85.0))]
     max_slope: f64,
-    /// Smallest radius of curvature of its profile, mm, 0.01 to 100: of the tool's tip, or what paint leaves
+    /// Smallest radius of its profile on the hollow side, mm, 0.01 to 100: of the tool's tip, or to which a sheet bends
     #[arg(long, value_name = "MM", default_value_t = Limits::default().min_radius_mm, value_parser = within(0.01, 100.0))]
     min_radius: f64,
+    /// Thickness of the paint or of the sheet, mm, 0 to 100
+    #[arg(long, value_name = "MM", default_value_t = Limits::default().thickness_mm, value_parser = within(0.0, 100.0))]
+    thickness: f64,
+    /// How exactly it is made and placed, standard deviations: surface and place, slope, turn and lamps
+    #[arg(long, value_name = "MM,DEG", default_value = "0.05,0.3", value_parser = design::Tolerance::parse)]
+    tolerance: design::Tolerance,
     /// Depth that the camera sees sharp, mm, 0.1 to 1000
     #[arg(long, value_name = "MM", default_value_t = Limits::default().depth_of_field_mm, value_parser = within(0.1, 1e3))]
     depth_of_field: f64,
     /// Lamps stand where the stage of this rig file reaches, past the camera's body
     #[arg(long, value_name = "RIG")]
     rig: Option<String>,
-    /// Angle of the camera from the sample's axis, or a range LOW:HIGH, degrees, 0 to 75 (default
-    /// 0:60; with --rig as it stands)
+    /// Angle of the camera from the sample's axis, or LOW:HIGH, degrees, 0 to 75 (default 0:60; with --rig as it stands)
     #[arg(long, value_name = "DEG", value_parser = design::tilt_range)]
     camera_tilt: Option<[f64; 2]>,
     /// Lamps stand no lower than this over the rim, degrees, -85 to 80 (default 15 without --rig)
@@ -87,6 +94,8 @@ pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
     let request = DesignRequest {
         images: args.images as usize,
         limits: Limits {
+            form: args.form,
+            thickness_mm: args.thickness,
             radius_mm: args.radius,
             max_slope_deg: args.max_slope,
             min_radius_mm: args.min_radius,
@@ -98,6 +107,7 @@ pub fn run(args: &DesignArgs, context: &Context) -> Result<(), CliError> {
             clearance_deg: args.clearance.unwrap_or(reach.clearance_deg),
             ..reach
         },
+        tolerance: args.tolerance,
         materials: args.materials.clone(),
         rounds: args.rounds,
         seed: args.seed,
@@ -127,13 +137,8 @@ fn search(
     if json {
         return write_json(&json!({ "files": written, "designs": all }));
     }
-    let mut table = Table::new(&[
-        "design",
-        " tilt",
-        " expected",
-        " held out",
-        "lamps (azimuth,elevation)",
-    ]);
+    let headings = "design| tilt| expected| held out| as made|lamps (azimuth,elevation)";
+    let mut table = Table::new(&headings.split('|').collect::<Vec<_>>());
     for design in all {
         let lamps: Vec<_> = design.lights.iter().map(Lamp::to_string).collect();
         table.row([
@@ -141,6 +146,7 @@ fn search(
             format!("{:.0}°", design.camera_tilt_deg),
             percent(design.error),
             percent(design.error_held_out),
+            percent(design.error_as_made),
             lamps.join(" "),
         ]);
     }

@@ -15,7 +15,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::normal_equations::above_noise;
-use super::objective::{Channels, DiscrepancyModel, ModelImage, Objective};
+use super::objective::{Channels, DiscrepancyModel, ModelImage, Objective, ResidualWeights};
 use crate::brdf::discrepancy::{Discrepancy, Material, Prior};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::error_curvature::ErrorCurvature;
@@ -25,6 +25,10 @@ use crate::cells::{Captured, CellImage, CellOptions, Grid, choose};
 use crate::outer_products::Products;
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};
+
+mod deviations;
+
+pub use deviations::{Deviation, error_by_deviations};
 
 /// How the information of the candidates is computed.
 #[derive(Clone, Debug)]
@@ -189,13 +193,7 @@ impl Prospects {
     ) -> Result<Self, PredictionError> {
         let lights = std::mem::take(&mut scene.lights);
         scene.falloffs.clear();
-        let white = vec![Atom::Lambertian { albedo: 1.0 }];
-        let white = Arc::new(Dictionary::new("white", white)?);
-        let mixture = Mixture::grey(white.clone(), vec![1.0])?;
-        let grid_options = CellOptions {
-            budget: CELLS,
-            ..CellOptions::default()
-        };
+        let mixture = Mixture::grey(white()?, vec![1.0])?;
         let mut materials: Vec<Prospect> = subjects
             .iter()
             .map(|subject| Prospect {
@@ -205,19 +203,8 @@ impl Prospects {
             .collect();
         for batch in lights.chunks(BATCH) {
             scene.lights = batch.to_vec();
-            let captured = unknown_images(&scene, choose(&scene, &grid_options));
-            let cells = &*captured.cells;
-            let direct = DirectMatrix::new(&scene, cells, &white, DIRECT_STRATA, options.seed);
-            let paths = CacheOptions {
-                samples_per_cell: options.samples_per_cell,
-                max_reflections: options.max_reflections,
-                seed: options.seed,
-                ..CacheOptions::default()
-            };
-            let cache = Cache::trace(&scene, cells, &white, &paths)?;
-            let (kernel, error) = (options.kernel, options.model_error);
-            let shared = Channels::Shared;
-            let plain = Objective::new(&cache, &direct, &captured, shared, kernel, error);
+            let traced = Traced::new(&scene, &scene, options)?;
+            let plain = traced.objective(options);
             for Prospect {
                 subject,
                 information,
@@ -227,7 +214,9 @@ impl Prospects {
                 let prior = &subject.prior;
                 let model =
                     DiscrepancyModel::of_compared(&plain, &scene, &material, prior, options.seed);
-                let of_lights = of_lights(&plain.with_discrepancy(&model), &model, prior, options);
+                let objective = plain.with_discrepancy(&model);
+                let weights = residual_weights(&objective, options);
+                let of_lights = of_lights(&objective, prior, &model, &weights);
                 information.extend(of_lights.into_iter().map(above_noise));
             }
         }
@@ -336,6 +325,64 @@ pub fn coarse(mut scene: Scene) -> Scene {
     scene
 }
 
+/// The paths of a scene's images.
+struct Traced {
+    captured: Captured,
+    direct: DirectMatrix,
+    cache: Cache,
+}
+
+impl Traced {
+    /// Over the cells of `described`, which has the same camera.
+    fn new(
+        scene: &Scene,
+        described: &Scene,
+        options: &PredictionOptions,
+    ) -> Result<Self, PredictionError> {
+        let grid_options = CellOptions {
+            budget: CELLS,
+            ..CellOptions::default()
+        };
+        let captured = unknown_images(described, choose(described, &grid_options));
+        let (cells, white) = (&*captured.cells, white()?);
+        let direct = DirectMatrix::new(scene, cells, &white, DIRECT_STRATA, options.seed);
+        let paths = CacheOptions {
+            samples_per_cell: options.samples_per_cell,
+            max_reflections: options.max_reflections,
+            seed: options.seed,
+            ..CacheOptions::default()
+        };
+        let cache = Cache::trace(scene, cells, &white, &paths)?;
+        Ok(Self {
+            captured,
+            direct,
+            cache,
+        })
+    }
+
+    fn objective(&self, options: &PredictionOptions) -> Objective<'_> {
+        Objective::new(
+            &self.cache,
+            &self.direct,
+            &self.captured,
+            Channels::Shared,
+            options.kernel,
+            options.model_error,
+        )
+    }
+}
+
+/// What the tables of ln f multiply.
+fn white() -> Result<Arc<Dictionary>, BrdfError> {
+    let white = vec![Atom::Lambertian { albedo: 1.0 }];
+    Ok(Arc::new(Dictionary::new("white", white)?))
+}
+
+/// The weights of its mixture.
+fn unit() -> [DVector<f64>; 1] {
+    [DVector::from_element(1, 1.0)]
+}
+
 /// Images that are not taken yet, over the cells of a scene.
 fn unknown_images(scene: &Scene, grid: Grid) -> Captured {
     let none = CellImage {
@@ -351,16 +398,10 @@ fn unknown_images(scene: &Scene, grid: Grid) -> Captured {
     }
 }
 
-/// Information of each light's image about the modes: sym(J_Aᵀ W J_B), scaled to the number
-/// of independent values. Values are compared and weighed as in a fit: a residual's weight comes
-/// from the cell's neighbours, since one whose paths missed the light would count as certain.
-fn of_lights(
-    objective: &Objective<'_>,
-    model: &DiscrepancyModel,
-    prior: &Prior,
-    options: &PredictionOptions,
-) -> Vec<DMatrix<f64>> {
-    let (cells, white) = (objective.cells(), [DVector::from_element(1, 1.0)]);
+/// What each value weighs, scaled to the number of independent values. Values are weighed as in a
+/// fit: by the cell's neighbours, since one whose paths missed the light would count as certain.
+fn residual_weights(objective: &Objective<'_>, options: &PredictionOptions) -> ResidualWeights {
+    let cells = objective.cells();
     // Each counts by the part of the field that it covers.
     let field: usize = cells.resolution_px().iter().product();
     let per_pixel = options.independent_values / field as f64;
@@ -383,12 +424,21 @@ fn of_lights(
         };
         (0..cells.len()).map(weight).collect()
     };
-    let images = objective.modelled(&white);
-    let residual_weights: Vec<_> = images.iter().enumerate().map(of_light).collect();
+    let images = objective.modelled(&unit());
+    images.iter().enumerate().map(of_light).collect()
+}
+
+/// Information of each light's image about the modes: sym(J_Aᵀ W J_B).
+fn of_lights(
+    objective: &Objective<'_>,
+    prior: &Prior,
+    model: &DiscrepancyModel,
+    weights: &ResidualWeights,
+) -> Vec<DMatrix<f64>> {
     let n = prior.modes().ncols();
     let sums = objective.accumulate(
-        &white,
-        &residual_weights,
+        &unit(),
+        weights,
         Some(prior.modes()),
         || vec![Products::zero(n); objective.lights()],
         |sums, value| {

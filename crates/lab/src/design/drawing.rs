@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::profile::KNOTS;
 use super::{DesignRequest, Found};
+use crate::geometry::shapes::Form;
 
 /// Units of the drawing per radius.
 const SCALE: f64 = 300.0;
@@ -60,17 +61,35 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
         text += &label(at(r, z - 0.05), "middle", &format!("{}", k + 1));
     }
     text += &line(at(-1.0, -0.62), at(1.0, -0.62), thin);
+    let sign = match request.limits.form {
+        Form::Revolved => "⌀ ",
+        Form::Extruded => "",
+    };
     text += &label(
         at(0.0, -0.68),
         "middle",
-        &format!("⌀ {:.2} mm", 2.0 * radius_mm),
+        &format!("{sign}{:.2} mm", 2.0 * radius_mm),
+    );
+    let limits = &request.limits;
+    let made = match limits.form {
+        Form::Revolved => "turned about its axis".to_owned(),
+        Form::Extruded => format!("{:.2} long", 2.0 * radius_mm),
+    };
+    let over = match limits.thickness_mm {
+        0.0 => String::new(),
+        thickness_mm => format!(", the upper face of {thickness_mm:.2} of paint or sheet"),
+    };
+    text += &label(
+        [20.0, 640.0],
+        "start",
+        &format!("Lengths in mm; {made}{over}."),
     );
     let facts = format!(
-        "steepest {:.0}°, smallest radius {:.2} mm, between heights a cubic spline; mm",
+        "Steepest {:.0}°, smallest radius {:.2}, between heights a cubic spline.",
         profile.steepest_deg(),
-        profile.tightest() * radius_mm
+        profile.smallest_radius_mm(limits)
     );
-    text += &label([20.0, 655.0], "start", &facts);
+    text += &label([20.0, 660.0], "start", &facts);
 
     // Camera and lamps, in the plane of the drawing at their elevation.
     let mut ray = |elevation_deg: f64, side: f64, color: &str, words: &str| {

@@ -1,8 +1,8 @@
 //! The designer: which sample, which tilt of the camera and which lamps tell most of an unknown
 //! material.
 //!
-//! A profile of revolution and the tilt are searched by the cross-entropy method; the
-//! lamps are the best of those within reach, for each profile anew. What counts is the environment error that the
+//! A profile, turned about an axis or drawn along a line, and the tilt are searched by the
+//! cross-entropy method; the lamps are the best of those within reach, for each profile anew. What counts is the environment error that the
 //! images are expected to leave ([`crate::inverse::expected_error`], docs/adr/0017), the geometric mean
 //! over some embedded materials. All candidates are looked at with the same paths, and what was found
 //! once more with others and with materials that took no part, because a search exploits noise.
@@ -12,9 +12,11 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use crate::geometry::shapes::Form;
 use crate::geometry::{Mesh, MeshError, Shape};
 use crate::inverse::expected_error::{
     Choice, ExpectedError, PredictionError, PredictionOptions, Prospects, Subject, USUAL, coarse,
+    error_by_deviations,
 };
 use crate::progress::Progress;
 use crate::random::{Purpose, Stream, stream};
@@ -24,10 +26,13 @@ use crate::units::StageAngles;
 mod drawing;
 pub mod profile;
 mod reach;
+mod solid;
+mod tolerance;
 mod written;
 
 pub use profile::{Limits, Profile};
 pub use reach::{Bench, Lamp, Reach};
+pub use tolerance::Tolerance;
 pub use written::{WriteError, write};
 
 use profile::HEIGHTS;
@@ -46,6 +51,8 @@ pub struct DesignRequest {
     pub tilt_deg: [f64; 2],
     /// Where lamps can stand.
     pub reach: Reach,
+    /// How exactly it is made and placed.
+    pub tolerance: Tolerance,
     /// Embedded materials that the error is averaged over.
     pub materials: Vec<String>,
     /// Rounds of the search, 0..=100.
@@ -68,6 +75,18 @@ pub fn tilt_range(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
+/// A form by its name, as `rig design --form` takes it.
+///
+/// # Errors
+/// What is expected instead.
+pub fn form(text: &str) -> Result<Form, String> {
+    match text {
+        "revolved" => Ok(Form::Revolved),
+        "extruded" => Ok(Form::Extruded),
+        _ => Err("not one of revolved, extruded".to_owned()),
+    }
+}
+
 impl Default for DesignRequest {
     fn default() -> Self {
         Self {
@@ -75,6 +94,7 @@ impl Default for DesignRequest {
             limits: Limits::default(),
             tilt_deg: Reach::default().tilts_deg(),
             reach: Reach::default(),
+            tolerance: Tolerance::default(),
             materials: USUAL.map(str::to_owned).to_vec(),
             rounds: 8,
             population: 24,
@@ -96,6 +116,9 @@ pub struct Design {
     pub error: f64,
     /// Of those that took none.
     pub error_held_out: f64,
+    /// Of those that took part, where sample and lamps are off by the request's tolerance and the fit
+    /// takes them for exact.
+    pub error_as_made: f64,
     /// Each material.
     pub materials: Vec<ExpectedError>,
 }
@@ -161,7 +184,7 @@ pub fn design(request: &DesignRequest, progress: &dyn Progress) -> Result<Found,
     let (heights, tilt_deg) = search.run(progress)?;
     let profile = Profile::through(&heights).flattened(&request.limits, tilt_deg);
     let segments = FINAL[1];
-    let mesh = profile.mesh(request.limits.radius_mm, segments)?;
+    let mesh = profile.mesh(&request.limits, segments)?;
     let design = search.judged("found", mesh, tilt_deg)?;
 
     // Known shapes with the tilt that suits each best.
@@ -366,7 +389,7 @@ impl<'a> Search<'a> {
         let (request, tilt_deg) = (self.request, point[HEIGHTS]);
         let profile = Profile::through(&heights(point)).flattened(&request.limits, tilt_deg);
         let [pixels, segments] = SEARCH;
-        let mesh = profile.mesh(request.limits.radius_mm, segments)?;
+        let mesh = profile.mesh(&request.limits, segments)?;
         let mut scene = request.scene(mesh, tilt_deg, pixels);
         let lamps = self.lamps(&scene, tilt_deg, LAMP_STEP_DEG)?;
         scene.lights = lamps.iter().map(|lamp| lamp.light).collect();
@@ -405,6 +428,14 @@ impl<'a> Search<'a> {
             .map(|subjects| Prospects::new(place(&chosen), subjects, &again));
         let [mut materials, held_out] = [took_part?, held_out?].map(|of| of.by_material(&all));
         let (error, error_held_out) = (geometric_mean(&materials), geometric_mean(&held_out));
+        let described = place(&chosen);
+        let deviations = request.tolerance.deviations(&described, request.seed);
+        let added = error_by_deviations(&described, &deviations, &self.subjects, &again)?;
+        let as_made = materials
+            .iter()
+            .zip(added)
+            .map(|(of, added)| of.error.hypot(added).ln());
+        let error_as_made = (as_made.sum::<f64>() / materials.len() as f64).exp();
         materials.extend(held_out);
         Ok(Design {
             name: name.to_owned(),
@@ -412,17 +443,20 @@ impl<'a> Search<'a> {
             lights: chosen,
             error,
             error_held_out,
+            error_as_made,
             materials,
         })
     }
 
     /// Free places. Without a bench sample and camera are mirror images of themselves at azimuth
-    /// 0, and on the axis a single lamp may stand at any azimuth.
+    /// 0, and on the axis a single lamp may stand at any azimuth of a turned sample, in one quarter of
+    /// a drawn one.
     fn lamps(&self, scene: &Scene, tilt_deg: f64, step_deg: f64) -> Result<Vec<Lamp>, DesignError> {
         let Self { request, .. } = self;
         let widest_deg = match tilt_deg < ON_AXIS_DEG && request.images == 1 {
             _ if request.reach.bench.is_some() => 360.0,
-            true => 0.0,
+            true if request.limits.form == Form::Revolved => 0.0,
+            true => 90.0,
             false => 180.0,
         };
         let mut free = request.reach.lamps(scene, step_deg);

@@ -1,5 +1,6 @@
-//! The profile of a sample of revolution, and what tools can make of it.
+//! The profile of a sample, and what tools, paint and sheets can make of it.
 
+use glam::DVec2;
 use nalgebra::{DMatrix, DVector};
 
 use crate::geometry::shapes::{Form, knot_height, of_knots};
@@ -15,14 +16,19 @@ const CHECKED: usize = 120;
 /// What a workshop and a lens allow.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Limits {
-    /// From the axis to the rim, mm, 1..=1000.
+    /// Turned about its axis, or drawn along y over twice the radius: a sheet can be pressed over the latter
+    /// alone.
+    pub form: Form,
+    /// From the axis, or the middle plane, to the rim, mm, 1..=1000.
     pub radius_mm: f64,
     /// Steepest slope, degrees from the rim's plane, 5..=85. As a height over the plane a profile
     /// has no overhang.
     pub max_slope_deg: f64,
-    /// Smallest radius of curvature of the profile, mm: of a tool's tip in a moat, of what a film
-    /// of paint keeps on a ridge.
+    /// Smallest radius of curvature on the hollow side, mm: in a moat of the surface, a tool's tip;
+    /// on a ridge of what is beneath the paint or sheet, to which a sheet must bend.
     pub min_radius_mm: f64,
+    /// Of the paint or the sheet, mm, 0..=100.
+    pub thickness_mm: f64,
     /// Depth that is sharp along the camera's axis, mm.
     pub depth_of_field_mm: f64,
 }
@@ -30,9 +36,11 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
+            form: Form::Revolved,
             radius_mm: 10.0,
             max_slope_deg: 70.0,
             min_radius_mm: 1.0,
+            thickness_mm: 0.0,
             depth_of_field_mm: 20.0,
         }
     }
@@ -85,14 +93,34 @@ impl Profile {
         slopes.fold(0.0, f64::max).atan().to_degrees()
     }
 
-    /// Smallest radius of curvature, in radii.
-    pub fn tightest(&self) -> f64 {
+    /// Smallest radii of curvature of a moat and of a ridge, in radii.
+    pub fn tightest(&self) -> [f64; 2] {
         let slopes: Vec<f64> = self.checked().map(|[.., slope]| slope).collect();
         let curvature = slopes.windows(2).map(|pair| {
             let middle = 0.5 * (pair[0] + pair[1]);
-            (pair[1] - pair[0]).abs() * CHECKED as f64 / (1.0 + middle * middle).powf(1.5)
+            (pair[1] - pair[0]) * CHECKED as f64 / (1.0 + middle * middle).powf(1.5)
         });
-        curvature.fold(1e-9, f64::max).recip()
+        let most = curvature.fold([1e-9f64; 2], |[moat, ridge], bend| {
+            [moat.max(bend), ridge.max(-bend)]
+        });
+        most.map(f64::recip)
+    }
+
+    /// Smallest radius on the hollow side, mm ([`Limits::min_radius_mm`]).
+    pub fn smallest_radius_mm(&self, limits: &Limits) -> f64 {
+        let [moat, ridge] = self.tightest().map(|radius| radius * limits.radius_mm);
+        moat.min(ridge - limits.thickness_mm)
+    }
+
+    /// Distance from the axis and height, mm, in `segments` steps to the rim, of the surface that lies
+    /// `depth_mm` beneath along the normal.
+    pub fn section(&self, radius_mm: f64, depth_mm: f64, segments: u32) -> Vec<DVec2> {
+        let at = |k: u32| {
+            let r = f64::from(k) / f64::from(segments);
+            let [z, slope] = self.at(r);
+            radius_mm * DVec2::new(r, z) - depth_mm * DVec2::new(-slope, 1.0).normalize()
+        };
+        (0..=segments).map(at).collect()
     }
 
     /// Extent along the axis of a camera that is tilted by this angle, in radii.
@@ -110,7 +138,7 @@ impl Profile {
     /// Whether it keeps the limits before a camera that is tilted by this angle.
     pub fn keeps(&self, limits: &Limits, tilt_deg: f64) -> bool {
         self.steepest_deg() <= limits.max_slope_deg
-            && self.tightest() * limits.radius_mm >= limits.min_radius_mm
+            && self.smallest_radius_mm(limits) >= limits.min_radius_mm
             && self.depth(tilt_deg) * limits.radius_mm <= limits.depth_of_field_mm
     }
 
@@ -124,9 +152,11 @@ impl Profile {
         found.unwrap_or_else(|| scaled(0.0))
     }
 
-    /// Its surface of revolution.
-    pub fn mesh(&self, radius_mm: f64, segments: u32) -> Result<Mesh, MeshError> {
-        of_knots(&self.knots, radius_mm as f32, Form::Revolved, 0.0, segments)
+    /// Its surface, as large and in the form that the limits state.
+    pub fn mesh(&self, limits: &Limits, segments: u32) -> Result<Mesh, MeshError> {
+        let radius_mm = limits.radius_mm as f32;
+        let length_mm = 2.0 * radius_mm;
+        of_knots(&self.knots, radius_mm, limits.form, length_mm, segments)
     }
 }
 
@@ -158,6 +188,19 @@ mod tests {
         // A flat sample at 60° is 2 sin 60° radii deep.
         let flat = Profile::through(&[0.0; HEIGHTS]);
         assert!((flat.depth(60.0) - 2.0 * 60f64.to_radians().sin()).abs() < 1e-9);
-        assert!(flat.tightest() > 1e6);
+        assert!(flat.tightest().iter().all(|&radius| radius > 1e6));
+
+        // Paint takes its thickness from what a ridge may bend to, not from a moat's radius.
+        let arc =
+            |side: f64| Profile::through(&[-0.5, -0.48, -0.42, -0.32, -0.18].map(|z| side * z));
+        let painted = Limits {
+            thickness_mm: 2.0,
+            ..limits
+        };
+        let lost = |side: f64| {
+            arc(side).smallest_radius_mm(&limits) - arc(side).smallest_radius_mm(&painted)
+        };
+        assert!(arc(1.0).tightest()[0] < arc(1.0).tightest()[1] - 1.0);
+        assert!((lost(-1.0) - 2.0).abs() < 1e-9 && lost(1.0).abs() < 1e-9);
     }
 }

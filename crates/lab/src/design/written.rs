@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::{DesignRequest, FINAL, Found, Lamp, VIEW, drawing};
+use super::{DesignRequest, FINAL, Found, Lamp, VIEW, drawing, solid};
 use crate::geometry::{Mesh, MeshError, files};
 use crate::transport::Light;
 use crate::whole_file;
@@ -26,8 +26,8 @@ pub enum WriteError {
 /// Facets around the surface that is written.
 const SEGMENTS: u32 = 256;
 
-/// Writes into `folder`, which is made: `scene.toml` with `sample.ply`, `lights.txt`, `sample.stl`,
-/// `drawing.svg` and `design.json`. Returns their paths.
+/// Writes into `folder`, which is made: `scene.toml` with `sample.ply`, `lights.txt`, the parts
+/// to make as STL, `drawing.svg` and `design.json`. Returns their paths.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -41,18 +41,21 @@ pub fn write(
         move |source| WriteError::File { path, source }
     };
     std::fs::create_dir_all(folder).map_err(file_error(folder))?;
-    let mesh = found.profile.mesh(request.limits.radius_mm, SEGMENTS)?;
-    let mut written = Vec::new();
-    for name in ["sample.ply", "sample.stl"] {
-        written.push(folder.join(name));
-        files::write(&folder.join(name), &mesh)?;
+    let mesh = found.profile.mesh(&request.limits, SEGMENTS)?;
+    let mut written = vec![folder.join("sample.ply")];
+    files::write(&written[0], &mesh)?;
+    for part in solid::parts(&found.profile, &request.limits, SEGMENTS / 2)? {
+        let path = folder.join(format!("{}.stl", part.name));
+        files::write(&path, &part.solid)?;
+        written.push(path);
     }
     let figures = serde_json::json!({
         "images": request.images,
         "limits": request.limits,
+        "tolerance": request.tolerance,
         "profile_height_and_slope": found.profile.knots,
         "steepest_deg": found.profile.steepest_deg(),
-        "smallest_radius_mm": found.profile.tightest() * request.limits.radius_mm,
+        "smallest_radius_mm": found.profile.smallest_radius_mm(&request.limits),
         "depth_mm": found.profile.depth(found.design.camera_tilt_deg) * request.limits.radius_mm,
         "seed": request.seed,
         "theta_d_bands_deg": crate::inverse::expected_error::BANDS_DEG,
