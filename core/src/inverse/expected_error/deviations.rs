@@ -11,11 +11,12 @@ use crate::brdf::discrepancy::{Material, Prior};
 use crate::inverse::objective::{DiscrepancyModel, ModelImage, Objective, ResidualWeights};
 use crate::transport::Scene;
 
-/// A scene as it may be in truth, by one standard deviation of one of its parameters.
+/// A scene as it may be in truth: one of its parameters is off.
 pub struct Deviation {
     /// With as many lights as the scene that it departs from.
     pub scene: Scene,
-    /// How many deviations of its kind share its variance.
+    /// Its square counts by 1 over this: of n that are drawn for one parameter n, times the squared number
+    /// of standard deviations.
     pub among: f64,
     /// Whether each light deviates on its own.
     pub by_light: bool,

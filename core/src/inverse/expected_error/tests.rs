@@ -151,3 +151,42 @@ fn the_choice_is_the_same_for_any_number_of_threads() {
         .all(|pair| pair[1].error <= pair[0].error * (1.0 + 1e-12));
     assert!(falling && one[0].error < 0.5, "{one:?}");
 }
+
+/// A bench as described adds nothing; twice the deviation adds twice as much, and lights that are off
+/// on their own add in squares.
+#[test]
+fn deviations_add_in_proportion() {
+    let light = |degrees: f64| {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        Light::distant(DVec3::new(sin, 0.0, cos), [1.0; 3])
+    };
+    let lights = |[first, second]: [f64; 2]| vec![light(20.0 + first), light(-50.0 + second)];
+    let subjects = [Arc::new(Subject::embedded("green-latex").unwrap())];
+    let options = PredictionOptions {
+        samples_per_cell: 512,
+        ..PredictionOptions::default()
+    };
+    let added = |off_deg: &[[f64; 2]], by_light: bool| {
+        let deviations: Vec<Deviation> = off_deg
+            .iter()
+            .map(|&off| Deviation {
+                scene: bowl(lights(off)),
+                among: 1.0,
+                by_light,
+            })
+            .collect();
+        let described = bowl(lights([0.0; 2]));
+        error_by_deviations(&described, &deviations, &subjects, &options).unwrap()[0]
+    };
+    assert_eq!(added(&[[0.0; 2]], false), 0.0);
+    let (once, twice) = (added(&[[2.0; 2]], false), added(&[[4.0; 2]], false));
+    assert!((twice / once - 2.0).abs() < 0.3, "{once} {twice}");
+    let (apart, one_by_one) = (
+        added(&[[1.0; 2]], true),
+        added(&[[1.0, 0.0], [0.0, 1.0]], false),
+    );
+    assert!(
+        (apart / one_by_one - 1.0).abs() < 1e-9,
+        "{apart} {one_by_one}"
+    );
+}

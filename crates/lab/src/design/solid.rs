@@ -33,7 +33,8 @@ pub fn parts(profile: &Profile, limits: &Limits, segments: u32) -> Result<Vec<Pa
     match limits.form {
         Form::Revolved => Ok(vec![Part {
             name: "sample",
-            solid: turned(&under, &carrying, 2 * segments)?,
+            // A disc needs no rows.
+            solid: turned(&[under[0], under[under.len() - 1]], &carrying, 2 * segments)?,
         }]),
         Form::Extruded => {
             let pressing = section(0.0);
@@ -84,7 +85,7 @@ fn prism(lower: &[DVec2], upper: &[DVec2], length_mm: f64) -> Result<Mesh, MeshE
     Mesh::new(positions, halves(&faces))
 }
 
-/// Between two lines of as many points, from the z axis outward, turned about it.
+/// Between two lines from the z axis outward, turned about it.
 fn turned(lower: &[DVec2], upper: &[DVec2], around: u32) -> Result<Mesh, MeshError> {
     let mut positions = Vec::new();
     let mut faces = Vec::new();

@@ -29,6 +29,9 @@ impl Default for Tolerance {
 
 /// Surfaces that are drawn.
 const SURFACES: u64 = 4;
+/// Standard deviations by which a parameter is off: the images' departure is in proportion, and
+/// exceeds the noise of their paths.
+const STEP: f64 = 3.0;
 
 impl Tolerance {
     /// From `MM,DEG`.
@@ -56,26 +59,27 @@ impl Tolerance {
         }
     }
 
-    /// A design's scene with one parameter after the other off by its standard deviation.
+    /// A design's scene with one parameter after the other off by some standard deviations.
     pub fn deviations(&self, scene: &Scene, seed: u64) -> Vec<Deviation> {
-        let angle_rad = self.angle_deg.to_radians();
+        let angle_rad = STEP * self.angle_deg.to_radians();
+        let length_mm = STEP * self.length_mm;
         let with_sample =
             |mesh| Scene::new(mesh, Shading::Smooth, scene.camera, scene.lights.clone());
         let one = |scene| Deviation {
             scene,
-            among: 1.0,
+            among: STEP * STEP,
             by_light: false,
         };
         let mut all = Vec::new();
 
         // The surface: random fields.
         let mesh = scene.sample();
-        if let Some(error) = FormError::new(self.length_mm, angle_rad) {
+        if let Some(error) = FormError::new(length_mm, angle_rad) {
             all.extend((0..SURFACES).map(|k| {
                 let mut numbers = stream(seed, Purpose::Experiment, k, 0, 0);
                 let field = error.field(mesh.mean_edge_mm(), &mut numbers);
                 Deviation {
-                    among: SURFACES as f64,
+                    among: SURFACES as f64 * STEP * STEP,
                     ..one(with_sample(field.deform(mesh, 1.0)))
                 }
             }));
@@ -85,7 +89,7 @@ impl Tolerance {
         for axis in DVec3::AXES {
             for [turn, shift] in [
                 [angle_rad * axis, DVec3::ZERO],
-                [DVec3::ZERO, self.length_mm * axis],
+                [DVec3::ZERO, length_mm * axis],
             ] {
                 let pose =
                     Rigid::<frames::Sample, frames::Sample>::from_rotation_vector(turn, shift);

@@ -25,6 +25,9 @@ pub enum WriteError {
 
 /// Facets around the surface that is written.
 const SEGMENTS: u32 = 256;
+/// Steps from the axis to the rim of what is made: chords lie within 0.01 mm of a surface of
+/// 20 mm radius.
+const PART_STEPS: u32 = 48;
 
 /// Writes into `folder`, which is made: `scene.toml` with `sample.ply`, `lights.txt`, the parts
 /// to make as STL, `drawing.svg` and `design.json`. Returns their paths.
@@ -44,7 +47,7 @@ pub fn write(
     let mesh = found.profile.mesh(&request.limits, SEGMENTS)?;
     let mut written = vec![folder.join("sample.ply")];
     files::write(&written[0], &mesh)?;
-    for part in solid::parts(&found.profile, &request.limits, SEGMENTS / 2)? {
+    for part in solid::parts(&found.profile, &request.limits, PART_STEPS)? {
         let path = folder.join(format!("{}.stl", part.name));
         files::write(&path, &part.solid)?;
         written.push(path);

@@ -355,7 +355,10 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         y: Axis::decades(low - 0.1..high + 0.1, "environment error (relative)"),
         series,
     };
-    Ok(vec![charts("designs", 1, &[shown])])
+    Ok(vec![
+        charts("designs", 1, &[shown]),
+        super::shown_angles::figure()?,
+    ])
 }
 
 #[cfg(test)]

@@ -26,6 +26,7 @@ mod rank;
 mod realism;
 mod shape_construction;
 mod shapes;
+mod shown_angles;
 mod table_visits;
 mod tables;
 mod tolerance;
