@@ -85,7 +85,7 @@ test("a session is found, fitted again, compared and exported", async () => {
   await until(page, "both fits are shown", () => [...document.querySelectorAll(".compare-pictures .pair")].some((pair) => [...pair.querySelectorAll("img")].filter((img) => img.naturalWidth > 0).length === 2));
   const dictionaries = await page.$$eval("section[aria-label='Fit A'], section[aria-label='Fit B']", (sides) => sides.map((side) => side.innerText.match(/Dictionary\s+(\S+)/)?.[1]));
   assert.deepEqual(dictionaries, ["rig65", "paper42"]);
-  await until(page, "they are measured against each other", () => /B against A\s+[\d.]+ %\s+[\d.]+ standard/.test(document.querySelector("#apart").innerText));
+  await until(page, "they are measured against each other", () => /B against A\s+[\d.]+%\s+[\d.]+ standard/.test(document.querySelector("#apart").innerText));
   assert.equal(await page.$$eval("#curves svg", (all) => all.map((svg) => svg.querySelectorAll(".line, .band").length).join()), "4,4,4");
   await press(page, "#add-fit");
   await until(page, "the third fit is measured against both", () => document.querySelectorAll("#apart tbody tr").length === 3);

@@ -42,8 +42,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
     let records: Vec<Line> = records
         .into_iter()
         .map(|status| Line {
-            run: status
-                .needs_calibration()
+            run: (status.needs_calibration() && !library.is_built_in())
                 .then(|| format!("rig calibrate {}", status.kind.command())),
             status,
         })

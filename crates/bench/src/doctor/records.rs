@@ -89,6 +89,10 @@ fn record<V: Values>(
     let (name, without) = named(V::KIND);
     let loaded = match loaded {
         Err(error) => return Check::refused(name, error),
+        // None could be added.
+        Ok(None) if library.is_built_in() => {
+            return Check::ok(name, format!("none is built in: {without}"));
+        }
         Ok(None) => {
             let fact = format!("no record in {}: {without}", library.place());
             return Check::warning(name, fact, Trouble::NoRecord(V::KIND));

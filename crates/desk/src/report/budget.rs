@@ -17,8 +17,8 @@ pub(super) fn budget_view(record: &BudgetRecord) -> Result<Value, PlotError> {
         rows => values(&record.row, |row| context! {
             angles => angles(row.theta_h_deg, row.theta_d_deg),
             value => format!("{:.3e}", row.value).replace('-', "−"),
-            relative_std => format!("{:.2} %", 100.0 * row.relative_std),
-            shares => values(&row.share, |s| format!("{:.1} %", 100.0 * s).into()),
+            relative_std => format!("{:.2}%", 100.0 * row.relative_std),
+            shares => values(&row.share, |s| format!("{:.1}%", 100.0 * s).into()),
         }),
         svg => figure(record)?,
     })
@@ -43,7 +43,7 @@ fn figure(record: &BudgetRecord) -> Result<String, PlotError> {
                 bars: vec![Bar {
                     parts: parts.collect(),
                     deviation: None,
-                    note: format!("{:.2} %", 100.0 * row.relative_std),
+                    note: format!("{:.2}%", 100.0 * row.relative_std),
                 }],
             }
         })

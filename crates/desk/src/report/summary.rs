@@ -21,7 +21,7 @@ pub(super) fn short(value: f64) -> String {
 }
 
 pub(super) fn percent(value: f64) -> String {
-    format!("{} %", short(value * 100.0))
+    format!("{}%", short(value * 100.0))
 }
 
 pub(super) fn verdict_view(record: Option<&FitRecord>) -> Value {
@@ -85,7 +85,7 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Value> {
             let signed = |value: f64, digits: usize| format!("{value:+.digits$}").replace('-', "−");
             let albedo = signed(plain.worst_albedo(), 3);
             tile("Albedo", albedo, "off by, at worst of 8°, 45°, 75°");
-            let peak = format!("{} %", signed(100.0 * plain.worst_peak(), 0));
+            let peak = format!("{}%", signed(100.0 * plain.worst_peak(), 0));
             tile("Peak", peak, "off by, in the mirror direction");
         }
         tile(

@@ -160,7 +160,7 @@ fn light_view(position: usize, light: &LightInput, input: &ReportInput) -> Value
     let unusable = captured.map(|captured| {
         let [width, height] = captured.size_px;
         let share = captured.unusable as f64 / (width * height).max(1) as f64;
-        format!("{} ({:.1} %)", captured.unusable, share * 100.0)
+        format!("{} ({:.1}%)", captured.unusable, share * 100.0)
     });
     let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
     context! {

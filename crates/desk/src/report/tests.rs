@@ -316,7 +316,7 @@ fn a_whole_session_has_every_section() {
     assert!(html.contains("class=\"watermark\"") && html.contains("SIMULATED"));
     assert!(html.contains("The fit explains the images"));
     assert!(
-        html.contains("4.80 %") && html.contains("3.60 %"),
+        html.contains("4.80%") && html.contains("3.60%"),
         "score and floor"
     );
     for exposure in ["0.500 ms × 1", "4.00 ms × 2", "32.0 ms × 8"] {
@@ -331,7 +331,7 @@ fn a_whole_session_has_every_section() {
     );
     // Polar plots, slices, maps, weights, loss and budget.
     assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1 + 1);
-    assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
+    assert!(html.contains("0.80%") && html.contains("40.0%"), "budget");
     let predicted = [
         "light 1 (derived&#x2f;radiance_L000.exr) was fitted",
         "<figcaption>light 2",

@@ -134,6 +134,11 @@ impl Library {
         })
     }
 
+    /// Whether all of it is built into the program, so that no record can be added.
+    pub fn is_built_in(&self) -> bool {
+        matches!(self, Self::BuiltIn(_))
+    }
+
     /// Where it is, for messages.
     pub fn place(&self) -> String {
         match self {

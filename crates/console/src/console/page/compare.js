@@ -115,7 +115,7 @@ function pairTable(pairs) {
       "tr",
       {},
       h("th", { scope: "row" }, `${LETTERS[pair.with]} against ${LETTERS[pair.of]}`),
-      h("td", {}, `${digits(100 * pair.environment_error, 2)} %`),
+      h("td", {}, `${digits(100 * pair.environment_error, 2)}%`),
       h("td", {}, pair.in_uncertainties === null ? "–" : `${digits(pair.in_uncertainties, 2)} standard uncertainties`),
     ),
   );
@@ -150,7 +150,7 @@ function side(letter) {
       ["Lights", done(session)],
       ["Dictionary", fit?.dictionary ?? "–"],
       ["χ²", Number.isFinite(fit?.chi2) ? digits(fit.chi2, 3) : "–"],
-      ["Error against the truth", Number.isFinite(fit?.environment_error) ? `${digits(100 * fit.environment_error, 2)} %` : null],
+      ["Error against the truth", Number.isFinite(fit?.environment_error) ? `${digits(100 * fit.environment_error, 2)}%` : null],
     ] : []);
     facts(settings, Object.entries(fit?.settings ?? {}).filter(([key]) => key !== "Dictionary"));
     warnings.replaceChildren(warningList(fit?.warnings));

@@ -16,7 +16,7 @@ export function curvePanel(letters) {
   const channel = h("select", { id: "curve-channel" }, CHANNELS.map((name, i) => h("option", { value: i, selected: i === 1 }, name)));
   const drawings = h("div", { class: "curves" });
   const legend = h("ul", { class: "legend" });
-  const element = h("section", { class: "panel", id: "curves" }, h("h3", {}, "f over the half angle θh"), h("div", { class: "row" }, field("Channel", channel), legend), drawings, h("p", { class: "fine" }, "Bands: intervals of 95 %. θd is the angle between light and half vector."));
+  const element = h("section", { class: "panel", id: "curves" }, h("h3", {}, "f over the half angle θh"), h("div", { class: "row" }, field("Channel", channel), legend), drawings, h("p", { class: "fine" }, "Bands: intervals of 95%. θd is the angle between light and half vector."));
   let fits = [];
   channel.addEventListener("change", draw);
   function draw() {

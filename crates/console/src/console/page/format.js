@@ -76,7 +76,7 @@ export function degrees(value) {
 export function drift(percent, uncertainty) {
   if (!Number.isFinite(percent)) return "–";
   const value = `${percent > 0 ? "+" : ""}${fixed(percent, 2)}`;
-  return Number.isFinite(uncertainty) ? `${value} ± ${fixed(uncertainty, 2)} %` : `${value} %`;
+  return Number.isFinite(uncertainty) ? `${value} ± ${fixed(uncertainty, 2)}%` : `${value}%`;
 }
 
 /** A count with thin spaces between thousands. */

@@ -331,7 +331,7 @@ function resultPart(reload) {
     const records = run.trial?.of === run.guide.kind ? run.trial.records : [];
     element.hidden = working() || !(mine || records.length);
     if (element.hidden) return;
-    say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}.`);
+    say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}. “${by("guide-start").innerText}” begins it anew.`);
     const lines = mine ? (job.log ?? []).filter((line) => !/^(figure|EMVA 1288 figures): /.test(line)).map((line) => line.replace("/.trial/", "/")) : [];
     redraw(said, lines, () => lines.map((line) => h("li", { class: /^(warning|error|hint)/.test(line) ? "warn" : null }, line)));
     redraw(figure, [records, run.trial?.has_figure], () => (records.length && run.trial.has_figure ? [h("figure", {}, h("img", { src: `api/guides/figure.png?of=${encodeURIComponent(records[0])}`, alt: `The figure of ${records[0]}` }))] : []));

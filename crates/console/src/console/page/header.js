@@ -87,7 +87,7 @@ function showTitle() {
   const share = isCapture && capture?.state !== "fitting" ? capture?.done : job?.progress?.done;
   const sample = short((isCapture ? capture?.sample : job?.session) ?? "");
   const verdict = (isCapture ? capture?.verdict : job?.verdict) ?? null;
-  const at = Number.isFinite(share) ? `${Math.floor(100 * share)} %` : null;
+  const at = Number.isFinite(share) ? `${Math.floor(100 * share)}%` : null;
   const is = working()
     ? [job.state === "paused" ? "paused" : null, at, isCapture ? (capture?.state === "fitting" ? "fit" : null) : job.kind]
     : job?.state && (isCapture || ["fit", "calibration"].includes(job.kind))

@@ -58,7 +58,7 @@ function spoken(figures) {
 function clippingText(figures) {
   const share = (pixels) => {
     const all = (figures.width ?? 0) * (figures.height ?? 0);
-    return all > 0 ? ` (${digits((100 * pixels) / all, 2)} %)` : "";
+    return all > 0 ? ` (${digits((100 * pixels) / all, 2)}%)` : "";
   };
   const clipped = figures.clipped_pixels;
   const saturated = clipped > 0 ? `${count(clipped)} ${clipped === 1 ? "pixel" : "pixels"} saturated${share(clipped)}` : "No pixel saturated";

@@ -141,7 +141,7 @@ function figurePanels() {
   function draw() {
     const top = Math.max(highest, 1e-12);
     line.setAttribute("points", values.map((value, i) => `${TREND - values.length + i},${(29 - (27 * value) / top).toFixed(2)}`).join(" "));
-    say(best, highest > 0 ? `best ${digits(highest, 3)} · now ${Math.round((100 * (values.at(-1) ?? 0)) / highest)} %` : "");
+    say(best, highest > 0 ? `best ${digits(highest, 3)} · now ${Math.round((100 * (values.at(-1) ?? 0)) / highest)}%` : "");
   }
   function show(figures) {
     none.hidden = Boolean(figures);

@@ -73,7 +73,7 @@ function captureForm() {
       radio("count", "evenly spread: ", many),
       radio("all", "all that the stage reaches, 15° apart"),
       radio("best", "the most informative: ", best, " (takes some seconds)"),
-      radio("until", "as many as it takes: from one on, each time the most telling one, until the expected error is at most ", enough.error, " %, but at most ", enough.most),
+      radio("until", "as many as it takes: from one on, each time the most telling one, until the expected error is at most ", enough.error, "%, but at most ", enough.most),
       radio("listed", "those that I list: click them on the hemisphere"),
       listed,
     ),
@@ -222,7 +222,7 @@ function planRows(plan) {
   const e = plan.exposure ?? {};
   return [
     ["Lights", plan.lights ? String(plan.lights.length) : null],
-    ["Then", plan.until ? `the most telling, until the expected error is at most ${digits(100 * plan.until.error, 2)} %; ${plan.until.max_lights} lights at most` : null],
+    ["Then", plan.until ? `the most telling, until the expected error is at most ${digits(100 * plan.until.error, 2)}%; ${plan.until.max_lights} lights at most` : null],
     ["Time", Number.isFinite(plan.estimated_s) ? `${plan.until ? "at most " : ""}about ${span(plan.estimated_s)}, without the ${plan.until ? "fits" : "fit"}` : null],
     ["Disk", Number.isFinite(plan.estimated_bytes) ? `about ${bytes(plan.estimated_bytes)}` : null],
     ["Exposures", Number.isFinite(e.shortest_s) ? `${exposure(e.shortest_s)} to ${exposure(e.longest_s)}, up to ${e.max_frames} frames of each` : null],

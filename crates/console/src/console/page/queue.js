@@ -31,7 +31,7 @@ export function startQueue(view) {
     h(
       "div",
       { class: "two" },
-      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("p", { class: "inline" }, "Then the most telling ones, until the expected error is at most ", enough.error, " % (may stay empty), but at most ", enough.most, " lights."), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
+      h("div", { class: "stack" }, next.element, more.element, panel("How", {}, h("div", { class: "row" }, field("Lights of each sample", lights, h("span", { class: "fine", id: "queue-lights-help" }, "A number, all, or best:N. The list may say otherwise."))), h("p", { class: "inline" }, "Then the most telling ones, until the expected error is at most ", enough.error, "% (may stay empty), but at most ", enough.most, " lights."), h("label", { class: "choice" }, fit, h("span", {}, "fit a BRDF and write the report after each")))),
       panel("Samples", {}, left, list),
     ),
   );

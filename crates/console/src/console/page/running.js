@@ -109,7 +109,7 @@ function progressPanel(onleave) {
     const done = fitting ? (job?.progress?.done ?? null) : capture?.state === "complete" ? 1 : (capture?.done ?? 0);
     if (Number.isFinite(done)) bar.value = done;
     else bar.removeAttribute("value");
-    say(share, Number.isFinite(done) ? `${Math.floor(100 * done)} %` : "");
+    say(share, Number.isFinite(done) ? `${Math.floor(100 * done)}%` : "");
     const ended = !running;
     const focused = document.activeElement;
     for (const control of [pause, goOn, finish, halt]) control.hidden = ended;

@@ -30,7 +30,7 @@ export function latest(session) {
 export function quality(fit) {
   if (!fit) return "–";
   const chi2 = Number.isFinite(fit.chi2) ? `χ² ${digits(fit.chi2, 3)}` : null;
-  const error = Number.isFinite(fit.environment_error) ? `error ${digits(100 * fit.environment_error, 2)} %` : null;
+  const error = Number.isFinite(fit.environment_error) ? `error ${digits(100 * fit.environment_error, 2)}%` : null;
   return [chi2, error].filter(Boolean).join(", ") || "–";
 }
 

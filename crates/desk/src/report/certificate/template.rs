@@ -160,7 +160,7 @@ fn room(lab: &LabConfig) -> String {
             "temperature",
         ),
         (
-            lab.room_humidity_percent.map(|p| format!("{p} %")),
+            lab.room_humidity_percent.map(|p| format!("{p}%")),
             "relative humidity",
         ),
     ];

@@ -15,7 +15,7 @@ pub(super) fn group(session: &Session) -> ProvenanceGroup {
         Some(largest) => format!("{}; the largest: {largest}", notable.len()),
     };
     let judged = format!(
-        "{judged} (of {} comparisons; beyond {:.1} standard uncertainties and {} %)",
+        "{judged} (of {} comparisons; beyond {:.1} standard uncertainties and {}%)",
         drift.changes.len(),
         drift.significant_beyond(),
         100.0 * NOTABLE,
