@@ -17,8 +17,8 @@ pub fn svg(found: &Found, request: &DesignRequest) -> String {
     let radius_mm = request.limits.radius_mm;
     let at = |r: f64, z: f64| [MIDDLE[0] + SCALE * r, MIDDLE[1] - SCALE * z];
     let mut text = String::from(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 960 670\" font-family=\"sans-serif\" font-size=\"14\">\n\
-         <rect width=\"960\" height=\"670\" fill=\"white\"/>\n",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"-60 0 1040 670\" font-family=\"sans-serif\" font-size=\"14\">\n\
+         <rect x=\"-60\" width=\"1040\" height=\"670\" fill=\"white\"/>\n",
     );
     let line = |[x1, y1]: [f64; 2], [x2, y2]: [f64; 2], style: &str| {
         format!("<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" {style}/>\n")
