@@ -108,6 +108,15 @@ impl Format {
         !matches!(self.writer, Writer::OfSession(_))
     }
 
+    /// What its file of a sample is usually called. Formats that others read as JSON say which
+    /// they are, so that `json` of the same sample stays.
+    pub fn usual_name(&self, sample: &str) -> String {
+        match self.writer {
+            Writer::OfSession(_) => format!("{sample}.{}.{}", self.name, self.ending),
+            _ => format!("{sample}.{}", self.ending),
+        }
+    }
+
     /// The files that are made where `out` was asked for: that first, then what belongs to it.
     pub fn files(&self, out: &Path) -> Vec<PathBuf> {
         let companion = match self.companion {
