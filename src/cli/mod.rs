@@ -248,10 +248,37 @@ fn usage_error(rendered: &str, subcommand: &str) -> CliError {
         .split("\n\n")
         .skip(1)
         .flat_map(str::lines)
-        .filter_map(|line| line.trim().strip_prefix("tip: "));
+        .filter_map(|line| line.trim().strip_prefix("tip: "))
+        // Of an option that is none here: no file or sample is called so.
+        .filter_map(|tip| match tip.strip_prefix("to pass '") {
+            Some(rest) => takers(rest.split('\'').next()?, subcommand),
+            None => Some(tip.to_owned()),
+        });
     let help = format!("`{subcommand} --help` explains the arguments");
-    let hints: Vec<_> = tips.chain([help.as_str()]).collect();
+    let hints: Vec<_> = tips.chain([help]).collect();
     CliError::new(usage_fact(rendered)).hint(hints.join("; "))
+}
+
+/// Which commands above and beside `subcommand` take the option, where few do.
+fn takers(option: &str, subcommand: &str) -> Option<String> {
+    let long = option.strip_prefix("--")?;
+    let (above, _) = subcommand.rsplit_once(' ')?;
+    let mut parent = definition();
+    for word in above.split(' ').skip(1) {
+        parent = parent.find_subcommand(word)?.clone();
+    }
+    let takes = |command: &clap::Command| {
+        let mut arguments = command.get_arguments();
+        arguments.any(|argument| argument.get_long() == Some(long))
+    };
+    let beside = parent.get_subcommands().filter(|command| takes(command));
+    let beside = beside.map(|command| format!("`{above} {}`", command.get_name()));
+    let itself = takes(&parent).then(|| format!("`{above}`"));
+    let all: Vec<_> = itself.into_iter().chain(beside).collect();
+    let take = if all.len() == 1 { "takes" } else { "take" };
+    (1..=3)
+        .contains(&all.len())
+        .then(|| format!("{} {take} {option}", all.join(" and ")))
 }
 
 /// What clap finds wrong, without its tips.
@@ -338,6 +365,21 @@ mod tests {
             "error: the following required arguments were not provided: --out <DIR>\n\n\
              hint: `rig man --help` explains the arguments\n"
         );
+        for (words, hint) in [
+            (
+                "batch run x --fail-on y",
+                "`rig batch` and `rig batch collect` take --fail-on; ",
+            ),
+            ("fit --certificate", "`rig report` takes --certificate; "),
+            ("fit --quite-unknown", ""),
+        ] {
+            let words: Vec<_> = ["rig"].into_iter().chain(words.split(' ')).collect();
+            assert!(
+                parse(&words).contains(&format!("hint: {hint}`rig")),
+                "{}",
+                parse(&words)
+            );
+        }
     }
 
     #[test]
