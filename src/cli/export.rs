@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use super::{CliError, Context, as_model, output};
-use crate::export::{self, ExportError, FORMATS, Format};
+use crate::export::{self, FORMATS, Format};
 use crate::session::Session;
 use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
 use crate::session::layout::{FITS_FOLDER, is_sample_name};
@@ -57,19 +57,17 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     if let Some(out) = &args.out {
         output::check_ending(out, format.ending)?;
     }
-    let path;
-    let exported = if format.needs_no_session() {
+    if format.needs_no_session() {
         let (record, sample) = record(args)?;
-        path = to(sample.as_deref());
+        let path = to(sample.as_deref());
         warn_of(&record, context);
-        let name = args.name.as_ref().or(sample.as_ref());
-        as_model::waiting(&path, context, || {
-            let name = name.map(String::as_str);
-            export::export_as(&record, name, args.closest, &format, &path)
+        let name = args.name.as_deref().or(sample.as_deref());
+        as_model::make(&path, context, |progress| {
+            export::export_as(&record, name, args.closest, progress, &format, &path)
         })
     } else {
         let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
-        path = to(called(&result.session).as_deref());
+        let path = to(called(&result.session).as_deref());
         warn_of(&result.record, context);
         let lacking = result.config.lab.missing();
         if !lacking.is_empty() {
@@ -79,15 +77,10 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
                 lacking.join(", ")
             ));
         }
-        as_model::waiting(&path, context, || {
+        as_model::make(&path, context, |_| {
             export::export_session(&result, &format, &path)
         })
-    };
-    let exported = exported.map_err(|error| match error {
-        ExportError::Io { path, source } => output::unwritable(&path, &source),
-        error => error.into(),
-    })?;
-    as_model::show(&exported, context)
+    }
 }
 
 /// The fit that is asked for, and the name of its sample where it belongs to a session.
