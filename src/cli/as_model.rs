@@ -3,22 +3,25 @@
 use std::path::Path;
 
 use super::brdf::spec::load;
-use super::output::{self, unwritable};
+use super::output;
+use super::progress::Counting;
 use super::{CliError, Context};
 use crate::export::{self, ExportError, Exported, LARGEST_ERROR, ModelFormat, Subject};
+use crate::progress::Progress;
 use crate::session::fit_record;
 
-/// Makes a file, which may take some seconds, and says so at a terminal meanwhile.
-pub fn waiting<T>(file: &Path, context: &Context, work: impl FnOnce() -> T) -> T {
-    let spinner = context.spinner();
-    spinner.set_message(format!("making {}", file.display()));
-    let done = work();
-    spinner.finish_and_clear();
-    done
-}
-
-/// Prints the files of an export, and what was lost.
-pub fn show(exported: &Exported, context: &Context) -> Result<(), CliError> {
+/// Makes a file, which may take some seconds, with a bar at a terminal; then prints the
+/// files, and what was lost.
+pub fn make(
+    file: &Path,
+    context: &Context,
+    work: impl FnOnce(&dyn Progress) -> Result<Exported, ExportError>,
+) -> Result<(), CliError> {
+    let bar = context.spinner();
+    bar.set_message(format!("making {}", file.display()));
+    let made = work(&Counting(&bar));
+    bar.finish_and_clear();
+    let exported = made?;
     if let Some(model) = &exported.model {
         for statement in model.statements() {
             context.note(statement);
@@ -31,10 +34,8 @@ pub fn show(exported: &Exported, context: &Context) -> Result<(), CliError> {
             ));
         }
     }
-    for file in &exported.files {
-        output::write_path(file)?;
-    }
-    Ok(())
+    let mut files = exported.files.iter();
+    files.try_for_each(|file| output::write_path(file))
 }
 
 /// Writes the BRDF that `spec` names in a program's model.
@@ -45,28 +46,25 @@ pub fn convert(
     closest: bool,
     context: &Context,
 ) -> Result<(), CliError> {
-    let exported = if Path::new(spec).is_dir() {
+    if Path::new(spec).is_dir() {
         // A fit: the file says where it comes from.
         let record = fit_record::find(Path::new(spec))?;
-        waiting(out, context, || {
-            export::export_as(&record, None, closest, &format.format(), out)
-        })
-    } else {
-        let brdf = load(spec)?;
-        let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
+        return make(out, context, |progress| {
+            export::export_as(&record, None, closest, progress, &format.format(), out)
+        });
+    }
+    let brdf = load(spec)?;
+    let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
+    make(out, context, |progress| {
         let subject = Subject {
             brdf: brdf.as_ref(),
             description: &description,
             simulated: false,
             name: None,
             closest,
+            progress,
             out,
         };
-        waiting(out, context, || subject.export(format))
-    };
-    let exported = exported.map_err(|error| match error {
-        ExportError::Io { path, source } => unwritable(&path, &source),
-        error => error.into(),
-    })?;
-    show(&exported, context)
+        subject.export(format)
+    })
 }

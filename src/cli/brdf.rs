@@ -14,8 +14,8 @@ use super::number::within;
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
 use crate::brdf::{Dictionary, nbrdf, score};
-use crate::export::{self, ExportError, ModelFormat, TableFormat};
-use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
+use crate::export::{self, ModelFormat, TableFormat};
+use crate::material::{self, Angles, Errors, MaterialError};
 use crate::out;
 use crate::whole_file;
 
@@ -136,13 +136,8 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
             angles,
             json,
         } => {
-            let spec = brdf.as_ref().or(named.as_ref());
-            eval(
-                spec.map_or("", String::as_str),
-                at,
-                angles.as_deref(),
-                *json,
-            )
+            let spec = brdf.as_deref().or(named.as_deref()).unwrap_or("");
+            eval(spec, at, angles.as_deref(), *json)
         }
         BrdfCommand::Check { brdf, json } => run_check(brdf, *json),
         BrdfCommand::Project {
@@ -180,17 +175,10 @@ fn eval(spec: &str, at: &[Angles], file: Option<&Path>, json: bool) -> Result<()
         return write_json(&rows);
     }
     out!("theta_i_deg,theta_o_deg,phi_deg,f_r,f_g,f_b")?;
-    for Evaluated {
-        angles,
-        f: [r, g, b],
-    } in rows
-    {
-        let Angles {
-            theta_i_deg,
-            theta_o_deg,
-            phi_deg,
-        } = angles;
-        out!("{theta_i_deg},{theta_o_deg},{phi_deg},{r:e},{g:e},{b:e}")?;
+    for row in rows {
+        let (at, [r, g, b]) = (row.angles, row.f);
+        let [i, o, phi] = [at.theta_i_deg, at.theta_o_deg, at.phi_deg];
+        out!("{i},{o},{phi},{r:e},{g:e},{b:e}")?;
     }
     Ok(())
 }
@@ -272,9 +260,6 @@ fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
         ))
         .hint("MERL tables end in .binary, RGL files in .bsdf, OpenPBR in .mtlx, scripts for Blender in .py, glTF in .glb; `rig export` writes other formats of a fit")
     })?;
-    export::table(load(spec)?.as_ref(), spec, format, path).map_err(|error| match error {
-        ExportError::Io { path, source } => unwritable(&path, &source),
-        error => error.into(),
-    })?;
+    export::table(load(spec)?.as_ref(), spec, format, path)?;
     write_path(path)
 }

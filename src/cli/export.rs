@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use super::{CliError, Context, as_model, output};
-use crate::export::{self, ExportError, FORMATS, Format};
+use crate::export::{self, FORMATS, Format};
+use crate::session::Session;
 use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
 use crate::session::layout::{FITS_FOLDER, is_sample_name};
 use crate::workflow::{StatedResult, StatedResultError};
@@ -49,24 +50,24 @@ const LATEST_FIT: &str = "leave --fit out to take the latest";
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let format = args.format;
-    let usual = |stem: &str| PathBuf::from(format!("{stem}.{}", format.ending));
-    let to = |stem: &str| args.out.clone().unwrap_or_else(|| usual(stem));
+    let to = |sample: Option<&str>| {
+        let usual = || format.usual_name(sample.unwrap_or("brdf")).into();
+        args.out.clone().unwrap_or_else(usual)
+    };
     if let Some(out) = &args.out {
         output::check_ending(out, format.ending)?;
     }
-    let path;
-    let exported = if format.needs_no_session() {
+    if format.needs_no_session() {
         let (record, sample) = record(args)?;
-        path = to(sample.as_deref().unwrap_or("brdf"));
+        let path = to(sample.as_deref());
         warn_of(&record, context);
-        let name = args.name.as_ref().or(sample.as_ref());
-        as_model::waiting(&path, context, || {
-            let name = name.map(String::as_str);
-            export::export_as(&record, name, args.closest, &format, &path)
+        let name = args.name.as_deref().or(sample.as_deref());
+        as_model::make(&path, context, |progress| {
+            export::export_as(&record, name, args.closest, progress, &format, &path)
         })
     } else {
-        path = to(format.name);
         let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
+        let path = to(called(&result.session).as_deref());
         warn_of(&result.record, context);
         let lacking = result.config.lab.missing();
         if !lacking.is_empty() {
@@ -76,15 +77,10 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
                 lacking.join(", ")
             ));
         }
-        as_model::waiting(&path, context, || {
+        as_model::make(&path, context, |_| {
             export::export_session(&result, &format, &path)
         })
-    };
-    let exported = exported.map_err(|error| match error {
-        ExportError::Io { path, source } => output::unwritable(&path, &source),
-        error => error.into(),
-    })?;
-    as_model::show(&exported, context)
+    }
 }
 
 /// The fit that is asked for, and the name of its sample where it belongs to a session.
@@ -95,9 +91,8 @@ fn record(args: &ExportArgs) -> Result<(FitRecord, Option<String>), CliError> {
     };
     let found = || match fit_record::find_in_session(dir)? {
         Some((session, number)) => {
-            let sample = Some(session.record().sample.clone());
             let record = fit_record::read_in(&session, number)?;
-            Ok::<_, FitRecordError>((record, sample.filter(|name| is_sample_name(name))))
+            Ok::<_, FitRecordError>((record, called(&session)))
         }
         None => Ok((fit_record::read(dir)?, None)),
     };
@@ -107,6 +102,11 @@ fn record(args: &ExportArgs) -> Result<(FitRecord, Option<String>), CliError> {
         }
         _ => error.into(),
     })
+}
+
+/// The name of a session's sample, where a file can have it.
+fn called(session: &Session) -> Option<String> {
+    Some(session.record().sample.clone()).filter(|name| is_sample_name(name))
 }
 
 /// Advice where a result cannot be stated to others.

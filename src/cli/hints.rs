@@ -234,7 +234,7 @@ fn for_export(error: &ExportError) -> Option<String> {
             "capture the sample under more lights; `rig report SESSION` shows what the images constrain"
                 .into(),
         ),
-        ExportError::Io { source, .. } => for_io(source),
+        ExportError::Io { source, .. } => Some(super::output::unwritable_hint(source)),
         // The command gives the session to formats that need it.
         ExportError::NeedsSession { .. } => None,
         // No reader hands such values on.

@@ -76,9 +76,13 @@ pub fn check_writable(path: &Path) -> Result<(), CliError> {
 
 /// A result that cannot be written, with advice by its cause.
 pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
+    CliError::new(format!("{}: {error}", path.display())).hint(unwritable_hint(error))
+}
+
+/// What to do where a file cannot be written.
+pub fn unwritable_hint(error: &std::io::Error) -> String {
     let hint = hints::for_error(error).filter(|_| error.kind() != ErrorKind::NotFound);
-    CliError::new(format!("{}: {error}", path.display()))
-        .hint(hint.as_deref().unwrap_or(ANOTHER_FILE))
+    hint.unwrap_or_else(|| ANOTHER_FILE.to_owned())
 }
 
 /// Writes `value` as indented JSON and a line end to stdout.

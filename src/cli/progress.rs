@@ -11,10 +11,24 @@ use crate::progress::Progress;
 /// Drawings per second at most.
 const RATE_HZ: u8 = 20;
 
-/// A bar that counts the steps of some work.
+/// A bar of some work's parts of the whole.
+const PARTS: &str = "{bar:30} {percent:>3}%  {wide_msg}";
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
+/// A bar that counts the steps of some work; a spinner becomes one where their number is known.
 pub struct Counting<'a>(pub &'a ProgressBar);
 
 impl Progress for Counting<'_> {
+    fn begin(&self, _: &str, steps: Option<usize>) {
+        if let (Some(steps), None) = (steps, self.0.length()) {
+            self.0.set_style(style(PARTS));
+            self.0.set_length(steps as u64);
+        }
+    }
+
     fn advance(&self, steps: usize) {
         self.0.inc(steps as u64);
     }
@@ -32,16 +46,13 @@ impl Context {
     /// A bar over `length` steps of `unit`, with the time left.
     pub fn bar(&self, length: u64, unit: &str) -> ProgressBar {
         let template = format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left {{msg}}");
-        let style = ProgressStyle::with_template(&template);
-        ProgressBar::with_draw_target(Some(length), self.draw_target())
-            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        ProgressBar::with_draw_target(Some(length), self.draw_target()).with_style(style(&template))
     }
 
     /// A bar for work of which parts are known by name, with the time left.
     pub fn staged_bar(&self) -> StagedBar {
-        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
-        let bar = ProgressBar::with_draw_target(Some(STEPS), self.draw_target())
-            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        let bar = ProgressBar::with_draw_target(Some(STEPS), self.draw_target());
+        bar.set_style(style(PARTS));
         if self.shows_progress() {
             // Drawn anew after a remark.
             bar.enable_steady_tick(Duration::from_secs(1));

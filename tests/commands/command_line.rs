@@ -52,6 +52,36 @@ fn a_full_stdout_is_an_error_with_a_hint() {
     assert_eq!(lines.len(), 3, "{stderr}");
 }
 
+/// Wrong usage is one fact and one hint; an option of another command leads there.
+#[test]
+fn usage_errors_are_one_fact_and_one_hint() {
+    for (words, said) in [
+        (
+            "completions bsh",
+            "error: invalid value 'bsh' for '<SHELL>' [possible values: bash, elvish, fish, powershell, zsh]\n\n\
+             hint: a similar value exists: 'bash'; `rig completions --help` explains the arguments\n",
+        ),
+        (
+            "man",
+            "error: the following required arguments were not provided: --out <DIR>\n\n\
+             hint: `rig man --help` explains the arguments\n",
+        ),
+        (
+            "batch run x --fail-on y",
+            "error: unexpected argument '--fail-on' found\n\n\
+             hint: --fail-on is of `rig batch` and `rig batch collect`; `rig batch run --help` explains the arguments\n",
+        ),
+        (
+            "merge --certificate",
+            "error: unexpected argument '--certificate' found\n\n\
+             hint: --certificate is of `rig report`; `rig merge --help` explains the arguments\n",
+        ),
+    ] {
+        let output = rig().args(words.split(' ')).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stderr), said);
+    }
+}
+
 /// What cannot be a filter is said; the command runs all the same.
 #[test]
 fn a_wrong_rust_log_is_warned_of() {

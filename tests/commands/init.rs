@@ -394,6 +394,7 @@ fn a_session_at_a_terminal() {
         ("Laboratory", "Attic"),
         ("Who works", "A. Miller"),
         ("Whom to ask", "B. Jones"),
+        ("City of", "Espoo"),
         ("Temperature of the room", "22.5"),
         ("Relative humidity", "45"),
     ] {

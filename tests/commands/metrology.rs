@@ -103,9 +103,9 @@ fn the_universal_json_holds_the_constrained_cells() {
     assert!(done.status.success(), "{}", stderr(&done));
     assert_eq!(
         (done.stdout.as_slice(), stderr(&done).as_str()),
-        (&b"birdf.json\n"[..], "")
+        (&b"red-plastic.birdf.json\n"[..], "")
     );
-    let bytes = std::fs::read(home.path().join("birdf.json")).unwrap();
+    let bytes = std::fs::read(home.path().join("red-plastic.birdf.json")).unwrap();
     let document: Value = serde_json::from_slice(&bytes).unwrap();
 
     // The values.
@@ -243,7 +243,7 @@ fn what_was_not_measured_is_not_exported() {
         &["export", "fit", "--format", "birdf", "--out", "a.brdf"],
     );
     assert_fails(&failed, "ends in .json", "name it a.json");
-    assert!(!home.path().join("birdf.json").exists());
+    assert!(!home.path().join("red-plastic.birdf.json").exists());
 }
 
 /// Shown numbers with the exact ones behind them, of the elements of a class or without one.

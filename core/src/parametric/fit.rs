@@ -6,8 +6,10 @@ use rayon::prelude::*;
 use super::residuals::Target;
 use super::{COUNT, LIMITS, Model, Parameters, ParametricBrdf, USUAL_IOR};
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::sphere::{LitSphere, SphereImage};
 use crate::brdf::{Brdf, score};
 use crate::least_squares::{Equations, Options, Problem, minimise};
+use crate::progress::Progress;
 
 /// Why there is no fit.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -98,7 +100,7 @@ fn each(parameters: &[usize]) -> Free {
 /// # Errors
 /// A BRDF that is black or has undefined values.
 pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
-    sought(brdf, model, [LEAST_GAIN, LEAST_GAIN_OF_ERROR])
+    fit_shown(brdf, model, false, &())
 }
 
 /// [`fit`] with every layer and tint that brings the model nearer, however little.
@@ -106,10 +108,23 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
 /// # Errors
 /// As there.
 pub fn closest(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
-    sought(brdf, model, [0.0; 2])
+    fit_shown(brdf, model, true, &())
 }
 
-fn sought(brdf: &dyn Brdf, model: Model, least_gain: [f64; 2]) -> Result<Fitted, FitError> {
+/// [`fit`], or [`closest`], with its progress: the starts of its searches.
+///
+/// # Errors
+/// As there.
+pub fn fit_shown(
+    brdf: &dyn Brdf,
+    model: Model,
+    closest: bool,
+    progress: &dyn Progress,
+) -> Result<Fitted, FitError> {
+    let least_gain = match closest {
+        true => [0.0; 2],
+        false => [LEAST_GAIN, LEAST_GAIN_OF_ERROR],
+    };
     let target = Target::of(brdf);
     if !target.is_finite() {
         return Err(FitError::NotFinite);
@@ -117,14 +132,17 @@ fn sought(brdf: &dyn Brdf, model: Model, least_gain: [f64; 2]) -> Result<Fitted,
     if target.is_black() {
         return Err(FitError::Black);
     }
-    let maps = EnvironmentMap::all();
+    let spheres = LitSphere::new(&EnvironmentMap::all(), SMALL_SPHERE);
+    let truth = spheres.images(brdf);
     let search = Search {
         target: &target,
         model,
-        brdf,
-        maps: &maps,
+        spheres: &spheres,
+        truth: &truth,
         least_gain,
+        progress,
     };
+    progress.begin("seeking the nearest material", Some(search.usual_starts()));
     let grounds = search.bases();
     let mut core = grounds[0];
     let found = search.with_layers(&grounds);
@@ -202,14 +220,29 @@ struct Found {
 struct Search<'a> {
     target: &'a Target,
     model: Model,
-    brdf: &'a dyn Brdf,
-    maps: &'a [EnvironmentMap],
+    spheres: &'a LitSphere,
+    /// The material's, under each map.
+    truth: &'a [SphereImage],
     /// By how much a layer or a tint more must lower the sum of squares, as a part, and the
     /// environment error.
     least_gain: [f64; 2],
+    progress: &'a dyn Progress,
 }
 
 impl Search<'_> {
+    /// Starts, those of the diffuse material included, unless the best base is poor.
+    fn usual_starts(&self) -> usize {
+        let bases = START_METALNESS.len() * START_ROUGHNESS.len();
+        let matt = 1 + SHARES_OF_MATT.len();
+        let tints = usize::from(self.target.is_tinted());
+        // Of each ground: two coats, and fibres on it and on them.
+        let layers = 2 + 3 * (1 + tints);
+        match self.model {
+            Model::Gltf => bases + 1 + layers + tints + 1 + matt,
+            _ => bases + matt + 1 + 2 * layers + tints + matt,
+        }
+    }
+
     /// Whether more parameters have lowered both measures by enough.
     fn is_nearer(&self, found: &Found, fewer: &Found) -> bool {
         let [of_squares, of_error] = self.least_gain;
@@ -379,11 +412,13 @@ impl Search<'_> {
                 false => minimise(&mut problem, start, &OPTIONS).point,
             };
             let parameters = Parameters::from_array(point);
-            Found {
+            let found = Found {
                 parameters,
                 squares: problem.cost(&point),
                 error: self.environment_error(&parameters),
-            }
+            };
+            self.progress.advance(1);
+            found
         };
         let mut found: Vec<Found> = starts.par_iter().map(of_start).collect();
         sort(&mut found);
@@ -393,8 +428,10 @@ impl Search<'_> {
     /// By small spheres.
     fn environment_error(&self, parameters: &Parameters) -> f64 {
         let model = ParametricBrdf::new(self.model, parameters);
-        let error = score::environment_error(&model, self.brdf, self.maps, SMALL_SPHERE);
-        error.mean.all
+        let images = self.spheres.images(&model);
+        let pairs = images.iter().zip(self.truth);
+        let errors = pairs.map(|(image, truth)| score::image_error(image, truth).all);
+        errors.sum::<f64>() / self.truth.len() as f64
     }
 
     /// A minimum from these starts that is nearer than the best so far, or that.
@@ -427,13 +464,17 @@ struct Nearest<'a> {
 const DIFFERENCE: f64 = 1e-4;
 
 impl Nearest<'_> {
-    fn residuals(&self, at: &[f64; COUNT]) -> Vec<f64> {
-        let parameters = Parameters::from_array(*at);
-        self.target.residuals(self.model, &parameters)
+    fn brdf(&self, at: &[f64; COUNT]) -> ParametricBrdf {
+        ParametricBrdf::new(self.model, &Parameters::from_array(*at))
     }
 
     /// Derivative of the residuals by a group, taken towards the inside.
-    fn column(&self, at: &[f64; COUNT], here: &[f64], group: &[usize]) -> Vec<f64> {
+    fn column(
+        &self,
+        at: &[f64; COUNT],
+        (brdf, here): (&ParametricBrdf, &[f64]),
+        group: &[usize],
+    ) -> Vec<f64> {
         let mut moved = *at;
         let is_high = |&k: &usize| at[k] + DIFFERENCE > LIMITS[k][1];
         let step = match group.iter().any(is_high) {
@@ -441,7 +482,8 @@ impl Nearest<'_> {
             false => DIFFERENCE,
         };
         group.iter().for_each(|&k| moved[k] += step);
-        let there = self.residuals(&moved);
+        let moved = brdf.with(&Parameters::from_array(moved));
+        let there = self.target.residuals(&moved);
         let pairs = there.iter().zip(here);
         pairs.map(|(there, here)| (here - there) / step).collect()
     }
@@ -451,9 +493,10 @@ impl Problem for Nearest<'_> {
     type Point = [f64; COUNT];
 
     fn linearise(&mut self, at: &Self::Point) -> Equations {
-        let here = self.residuals(at);
-        let columns = self.free.iter();
-        let columns: Vec<Vec<f64>> = columns.map(|group| self.column(at, &here, group)).collect();
+        let brdf = self.brdf(at);
+        let here = self.target.residuals(&brdf);
+        let column = |group: &Vec<usize>| self.column(at, (&brdf, &here), group);
+        let columns: Vec<Vec<f64>> = self.free.iter().map(column).collect();
         let n = columns.len();
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut normal = DMatrix::from_fn(n, n, |i, j| match i <= j {
@@ -488,7 +531,8 @@ impl Problem for Nearest<'_> {
     }
 
     fn cost(&self, at: &Self::Point) -> f64 {
-        self.residuals(at).iter().map(|r| r * r).sum()
+        let residuals = self.target.residuals(&self.brdf(at));
+        residuals.iter().map(|r| r * r).sum()
     }
 
     fn moved(&self, from: &Self::Point, step: &DVector<f64>) -> Self::Point {

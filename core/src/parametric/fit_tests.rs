@@ -62,7 +62,7 @@ fn a_fit_is_never_worse_than_its_starts() {
     for model in [Model::Principled, Model::Gltf] {
         let found = fit(paint.as_ref(), model).unwrap();
         let of = |p: &Parameters| {
-            let squares = target.residuals(model, p);
+            let squares = target.residuals(&ParametricBrdf::new(model, p));
             let sum: f64 = squares.iter().map(|r| r * r).sum();
             (sum / target.len() as f64).sqrt()
         };

@@ -24,15 +24,17 @@ pub struct Gltf {
 }
 
 impl Gltf {
-    /// With the tables that these parameters need.
-    pub fn new(parameters: &Parameters) -> Self {
+    /// With the tables that these parameters need, of an `old` material where it has them.
+    pub fn new(parameters: &Parameters, old: Option<&Self>) -> Self {
         let p = parameters;
         let (fuzz_weight, _) = p.fuzz_weight_and_color();
         let (specular_weight, specular_color) = p.specular_weight_and_color();
         let fibres = Charlie::new(p.fuzz_roughness);
-        let albedo = match fuzz_weight > 0.0 {
-            true => fibres.albedo(),
-            false => Curve::constant(0.0),
+        let old = old.filter(|old| old.fuzz.0 > 0.0 && old.fuzz.1 == fibres);
+        let albedo = match (fuzz_weight > 0.0, old) {
+            (true, Some(old)) => old.fuzz.2,
+            (true, None) => fibres.albedo(),
+            (false, _) => Curve::constant(0.0),
         };
         Self {
             parameters: *p,

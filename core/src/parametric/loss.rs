@@ -58,21 +58,36 @@ pub struct AlbedoPair {
 impl Loss {
     /// Of `model` against `material`, by spheres of `size` pixels a side.
     pub fn of(model: &ParametricBrdf, material: &dyn Brdf, size: usize) -> Self {
+        Self::beside(model, material, &[], size).0
+    }
+
+    /// [`Self::of`] and, in little more time, the spheres of others under each map.
+    pub fn beside(
+        model: &ParametricBrdf,
+        material: &dyn Brdf,
+        others: &[&dyn Brdf],
+        size: usize,
+    ) -> (Self, Vec<Vec<SphereImage>>) {
         let maps = EnvironmentMap::all();
-        let spheres: Vec<[SphereImage; 2]> = sphere_images(&[model, material], &maps, size)
+        let brdfs = [&[model as &dyn Brdf, material], others].concat();
+        let (spheres, others): (Vec<[SphereImage; 2]>, _) = sphere_images(&brdfs, &maps, size)
             .into_iter()
-            .filter_map(|under| under.try_into().ok())
-            .collect();
+            .filter_map(|mut under| {
+                let others = under.split_off(2);
+                Some((under.try_into().ok()?, others))
+            })
+            .unzip();
         let errors: Vec<_> = spheres
             .iter()
             .map(|[model, material]| score::image_error(model, material))
             .collect();
-        Self {
+        let loss = Self {
             environment: score::summarise(&maps, &errors),
             worst: worst(model, material),
             albedo: albedo(model, material),
             spheres,
-        }
+        };
+        (loss, others)
     }
 
     /// The environment error: mean over the maps, all channels together.

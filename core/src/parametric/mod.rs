@@ -42,7 +42,7 @@ use glam::Vec3;
 
 pub use diffuse::RoughDiffuse;
 pub use directions::Directions;
-pub use fit::{FitError, Fitted, closest, fit};
+pub use fit::{FitError, Fitted, closest, fit, fit_shown};
 pub use lobe::{Curve, Lobe};
 pub use loss::{AlbedoPair, Loss, WorstAngle};
 pub use parameters::{COAT_IOR, COUNT, LEAST_ROUGHNESS, LIMITS, Parameters, USUAL_IOR};
@@ -87,9 +87,24 @@ impl ParametricBrdf {
     /// With the tables that these parameters need.
     pub fn new(model: Model, parameters: &Parameters) -> Self {
         Self(match model {
-            Model::OpenPbr => Prepared::OpenPbr(open_pbr::OpenPbr::new(parameters)),
-            Model::Principled => Prepared::Principled(principled::Principled::new(parameters)),
-            Model::Gltf => Prepared::Gltf(gltf::Gltf::new(parameters)),
+            Model::OpenPbr => Prepared::OpenPbr(open_pbr::OpenPbr::new(parameters, None)),
+            Model::Principled => {
+                Prepared::Principled(principled::Principled::new(parameters, None))
+            }
+            Model::Gltf => Prepared::Gltf(gltf::Gltf::new(parameters, None)),
+        })
+    }
+
+    /// The same model with other parameters; tables that both need are not made again.
+    pub fn with(&self, parameters: &Parameters) -> Self {
+        Self(match &self.0 {
+            Prepared::OpenPbr(old) => {
+                Prepared::OpenPbr(open_pbr::OpenPbr::new(parameters, Some(old)))
+            }
+            Prepared::Principled(old) => {
+                Prepared::Principled(principled::Principled::new(parameters, Some(old)))
+            }
+            Prepared::Gltf(old) => Prepared::Gltf(gltf::Gltf::new(parameters, Some(old))),
         })
     }
 

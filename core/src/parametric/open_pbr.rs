@@ -36,8 +36,11 @@ struct Layer {
 }
 
 impl Layer {
-    fn new(roughness: f64, ior: f64) -> Self {
+    fn new(roughness: f64, ior: f64, old: Option<&Self>) -> Self {
         let lobe = Lobe::of_roughness(roughness);
+        if let Some(old) = old.filter(|old| old.lobe == lobe && old.ior == ior) {
+            return old.clone();
+        }
         let (bare, reflected) = lobe.albedo(|cos_d| ggx::fresnel(ior, cos_d));
         let lost = Curve::new(|cos| (1.0 - bare.at(cos)) / bare.at(cos));
         let passed = Curve::new(|cos| {
@@ -59,18 +62,20 @@ impl Layer {
 }
 
 impl OpenPbr {
-    /// With the tables that these parameters need.
-    pub fn new(parameters: &Parameters) -> Self {
+    /// With the tables that these parameters need, of an `old` material where it has them.
+    pub fn new(parameters: &Parameters, old: Option<&Self>) -> Self {
         let p = parameters;
         let mix = |a: f64, b: f64| a + p.coat_weight * (b - a);
         // A rough coat blurs what is below, and the base's contrast is to the coat, not to air.
         let blurred = (p.roughness.powi(4) + 2.0 * p.coat_roughness.powi(4)).min(1.0);
         let below = (p.ior / COAT_IOR).max(COAT_IOR / p.ior);
+        let (roughness, ior) = (mix(p.roughness, blurred.powf(0.25)), mix(p.ior, below));
+        let old_coat = old.and_then(|old| old.coat.as_ref());
         Self {
             parameters: *p,
             fuzz: Fuzz::of(p),
-            coat: (p.coat_weight > 0.0).then(|| Layer::new(p.coat_roughness, COAT_IOR)),
-            base: Layer::new(mix(p.roughness, blurred.powf(0.25)), mix(p.ior, below)),
+            coat: (p.coat_weight > 0.0).then(|| Layer::new(p.coat_roughness, COAT_IOR, old_coat)),
+            base: Layer::new(roughness, ior, old.map(|old| &old.base)),
             diffuse: RoughDiffuse::new(p.diffuse_roughness),
         }
     }

@@ -22,6 +22,8 @@ pub struct Principled {
     /// The coat, and the mean reflectance of its visible facets.
     coat: Option<(Lobe, Curve)>,
     base: Lobe,
+    /// Its albedo, without a Fresnel factor and with the dielectric's share.
+    albedos: (Curve, Curve),
     /// Light lost between the base's facets over light that is not.
     lost: Curve,
     /// How much of that returns, by channel.
@@ -32,16 +34,21 @@ pub struct Principled {
 }
 
 impl Principled {
-    /// With the tables that these parameters need.
-    pub fn new(parameters: &Parameters) -> Self {
+    /// With the tables that these parameters need, of an `old` material where it has them.
+    pub fn new(parameters: &Parameters, old: Option<&Self>) -> Self {
         let p = parameters;
         let coat = (p.coat_weight > 0.0).then(|| {
             let coat = Lobe::of_roughness(p.coat_roughness);
+            if let Some(old) = old.and_then(|old| old.coat).filter(|old| old.0 == coat) {
+                return old;
+            }
             let (bare, reflected) = coat.albedo(|cos_d| ggx::fresnel(COAT_IOR, cos_d));
             (coat, Curve::new(|cos| reflected.at(cos) / bare.at(cos)))
         });
         let base = Lobe::of_roughness(p.roughness);
-        let (bare, weighted_share) = base.albedo(|cos_d| dielectric_share(p.ior, cos_d));
+        let old = old.filter(|old| old.base == base && old.parameters.ior == p.ior);
+        let albedos = || base.albedo(|cos_d| dielectric_share(p.ior, cos_d));
+        let (bare, weighted_share) = old.map_or_else(albedos, |old| old.albedos);
         let mean_bare = bare.mean();
         let returns = |mean: f64| mean * mean_bare / (1.0 - mean * (1.0 - mean_bare));
         let f0 = p.specular_color.map(|tint| tint * f0_from_ior(p.ior));
@@ -52,6 +59,7 @@ impl Principled {
             fuzz: Fuzz::of(p),
             coat,
             base,
+            albedos: (bare, weighted_share),
             lost: Curve::new(|cos| (1.0 - bare.at(cos)) / bare.at(cos)),
             metal_returns: [0, 1, 2]
                 .map(|c| returns(f82_mean(p.base_color[c], p.specular_color[c]))),

@@ -10,7 +10,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Directions, Model, Parameters, ParametricBrdf};
+use super::{Directions, ParametricBrdf};
 use crate::brdf::{Brdf, HalfDifference};
 
 /// Nodes in θh, θd and φd.
@@ -85,8 +85,7 @@ impl Target {
     }
 
     /// Measured less modelled, times the node's weight; three values for each node.
-    pub fn residuals(&self, model: Model, parameters: &Parameters) -> Vec<f64> {
-        let brdf = ParametricBrdf::new(model, parameters);
+    pub fn residuals(&self, brdf: &ParametricBrdf) -> Vec<f64> {
         let pairs = self.nodes.iter().zip(&self.roots);
         let of_node = |(node, want): (&Node, &[f64; 3])| {
             let got = brdf.value(&node.to);

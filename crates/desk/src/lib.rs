@@ -8,7 +8,7 @@ use rig_bench::catalogue;
 #[cfg(feature = "reports")]
 use rig_bench::queue;
 use rig_bench::{fault, session, workflow};
-use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
+use rig_core::{brdf, outside_file, outside_table, parametric, progress, shown, whole_file};
 #[cfg(feature = "reports")]
 use rig_core::{inverse, radiance_image, transport, units};
 #[cfg(feature = "reports")]

@@ -2,8 +2,7 @@
 //! difference, under each environment map, and the grey that tells the exposure.
 
 use super::model::AsModel;
-use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::sphere::{GreyCard, SphereImage, normals, sphere_images};
+use crate::brdf::sphere::{SphereImage, normals};
 use crate::plot::colors::diverging;
 use crate::plot::{Picture, PlotError, Tile, pictures, scale_of};
 
@@ -17,14 +16,13 @@ const SIDE_PX: f64 = 128.0;
 pub fn to_png(material: &AsModel) -> Result<Vec<u8>, PlotError> {
     let spheres = &material.loss.spheres;
     let size = spheres.first().map_or(0, |[_, truth]| truth.size);
-    let greys = sphere_images(&[&GreyCard], &EnvironmentMap::all(), size);
     let differences: Vec<Vec<f64>> = spheres.iter().map(difference).collect();
     let range = scale_of(differences.iter().flatten().copied());
     let percent = 100.0 * range;
     let errors = material.loss.environment.maps.iter();
-    let rows = errors.zip(spheres).zip(&greys).zip(&differences);
+    let rows = errors.zip(spheres).zip(&material.greys).zip(&differences);
     let rows = rows.map(|((((map, error), [model, truth]), grey), difference)| {
-        let exposure = grey[0].neutral_exposure();
+        let exposure = grey.neutral_exposure();
         let tile = |caption: String, picture: Vec<[u8; 3]>| Tile {
             caption,
             picture: Picture::opaque(size, picture),
@@ -36,7 +34,7 @@ pub fn to_png(material: &AsModel) -> Result<Vec<u8>, PlotError> {
             tile(String::new(), truth.to_srgb(exposure)),
             tile(error, model.to_srgb(exposure)),
             tile(scale, colours(difference, range, size)),
-            tile(String::new(), grey[0].to_srgb(exposure)),
+            tile(String::new(), grey.to_srgb(exposure)),
         ];
         (map.clone(), tiles)
     });

@@ -34,6 +34,7 @@ pub use model::{AsModel, LARGEST_ERROR, ModelFormat};
 use crate::brdf::{Brdf, BrdfError, merl};
 use crate::outside_file::ends_in;
 use crate::parametric::FitError;
+use crate::progress::Progress;
 use crate::session::fit_record::FitRecord;
 use crate::workflow::StatedResult;
 use crate::{checksum, shown, whole_file};
@@ -106,6 +107,15 @@ impl Format {
     /// Whether [`export`] writes it; [`export_session`] writes all.
     pub fn needs_no_session(&self) -> bool {
         !matches!(self.writer, Writer::OfSession(_))
+    }
+
+    /// What its file of a sample is usually called. Formats that others read as JSON say which
+    /// they are, so that `json` of the same sample stays.
+    pub fn usual_name(&self, sample: &str) -> String {
+        match self.writer {
+            Writer::OfSession(_) => format!("{sample}.{}.{}", self.name, self.ending),
+            _ => format!("{sample}.{}", self.ending),
+        }
     }
 
     /// The files that are made where `out` was asked for: that first, then what belongs to it.
@@ -213,7 +223,7 @@ pub struct Exported {
 /// # Errors
 /// An unusable fit, a format that needs the fit's session, or the system's error.
 pub fn export(record: &FitRecord, format: &Format, out: &Path) -> Result<Exported, ExportError> {
-    export_as(record, None, false, format, out)
+    export_as(record, None, false, &(), format, out)
 }
 
 /// [`export`] with what matters in files of other programs' models, as [`Subject`] has it: the
@@ -225,6 +235,7 @@ pub fn export_as(
     record: &FitRecord,
     name: Option<&str>,
     closest: bool,
+    progress: &dyn Progress,
     format: &Format,
     out: &Path,
 ) -> Result<Exported, ExportError> {
@@ -239,6 +250,7 @@ pub fn export_as(
                 simulated: record.simulated,
                 name,
                 closest,
+                progress,
                 out,
             };
             return subject.export(model);
@@ -286,6 +298,8 @@ pub struct Subject<'a> {
     pub name: Option<&'a str>,
     /// Whether layers and tints that gain little are kept.
     pub closest: bool,
+    /// Shows how far the search for the nearest is.
+    pub progress: &'a dyn Progress,
     /// The file to write.
     pub out: &'a Path,
 }
@@ -297,7 +311,7 @@ impl Subject<'_> {
     /// # Errors
     /// A BRDF that no model comes near, or the system's error.
     pub fn export(&self, format: ModelFormat) -> Result<Exported, ExportError> {
-        let model = AsModel::of(self.brdf, format, self.closest)?;
+        let model = AsModel::of(self.brdf, format, self.closest, self.progress)?;
         let bytes = match format {
             ModelFormat::OpenPbr => materialx::to_xml(&model, self).into_bytes(),
             ModelFormat::Blender => blender::to_script(&model, self).into_bytes(),

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use crate::brdf::Brdf;
-use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score;
+use crate::brdf::sphere::{GreyCard, SphereImage};
 use crate::outside_file::ends_in;
 use crate::parametric::{self, FitError, Fitted, LEAST_ROUGHNESS, Loss, Model, Parameters};
+use crate::progress::Progress;
 
 /// A program's material file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +76,8 @@ pub struct AsModel {
     pub loss: Loss,
     /// Environment error where the extensions are ignored, if the file has any.
     pub without_extensions: Option<f64>,
+    /// Spheres of a grey card under each map, beside those of the loss.
+    pub greys: Vec<SphereImage>,
 }
 
 impl AsModel {
@@ -83,28 +86,36 @@ impl AsModel {
     ///
     /// # Errors
     /// A BRDF that reflects nothing, or has undefined values.
-    pub fn of(brdf: &dyn Brdf, format: ModelFormat, closest: bool) -> Result<Self, FitError> {
-        let fitted = match closest {
-            true => parametric::closest(brdf, format.model())?,
-            false => parametric::fit(brdf, format.model())?,
-        };
+    pub fn of(
+        brdf: &dyn Brdf,
+        format: ModelFormat,
+        closest: bool,
+        progress: &dyn Progress,
+    ) -> Result<Self, FitError> {
+        let fitted = parametric::fit_shown(brdf, format.model(), closest, progress)?;
         let fitted = Fitted {
             parameters: fitted.parameters.rounded(DECIMALS),
             core: fitted.core.rounded(DECIMALS),
             ..fitted
         };
-        let loss = Loss::of(&fitted.brdf(), brdf, score::SPHERE_SIZE);
         let has_extensions = fitted.core != fitted.parameters;
+        let core = fitted.core_brdf();
+        let others: [&dyn Brdf; 2] = [&GreyCard, &core];
+        let others = &others[..1 + usize::from(has_extensions)];
+        let (loss, others) = Loss::beside(&fitted.brdf(), brdf, others, score::SPHERE_SIZE);
         let without_extensions = has_extensions.then(|| {
-            let (core, maps) = (fitted.core_brdf(), EnvironmentMap::all());
-            let error = score::environment_error(&core, brdf, &maps, score::SPHERE_SIZE);
-            error.mean.all
+            let pairs = others.iter().zip(&loss.spheres);
+            let errors =
+                pairs.map(|(others, [_, truth])| score::image_error(&others[1], truth).all);
+            errors.sum::<f64>() / others.len() as f64
         });
+        let greys = others.into_iter().map(|mut others| others.swap_remove(0));
         Ok(Self {
             format,
             fitted,
             loss,
             without_extensions,
+            greys: greys.collect(),
         })
     }
 

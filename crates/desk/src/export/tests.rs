@@ -238,6 +238,7 @@ fn names_of_materials_differ_as_those_of_files() {
             simulated: false,
             name: None,
             closest: false,
+            progress: &(),
             out: &out,
         };
         assert_eq!(subject.name(), name);

@@ -177,6 +177,7 @@ fn who_measures_and_in_what_room_is_asked_for_where_it_will_be_stated() {
         ("laboratory", "D-K-1"),
         ("operator", "A. Miller"),
         ("contact", "B. Jones"),
+        ("city", "Espoo"),
         ("room_temperature_c", "22.5"),
         ("room_humidity_percent", "45"),
     ] {
@@ -186,6 +187,8 @@ fn who_measures_and_in_what_room_is_asked_for_where_it_will_be_stated() {
     assert_eq!(lab.contact.as_deref(), Some("B. Jones"));
     let room = [lab.room_temperature_c, lab.room_humidity_percent];
     assert_eq!(room, [Some(22.5), Some(45.0)]);
+    // Nothing that a certificate names is left unasked.
+    assert_eq!(lab.not_stated(), [""; 0]);
 }
 
 #[test]
