@@ -244,10 +244,8 @@ fn subcommand(arguments: &[OsString]) -> String {
 
 /// clap's paragraphs as one fact and one hint.
 fn usage_error(rendered: &str, subcommand: &str) -> CliError {
-    let tips = rendered
-        .split("\n\n")
-        .skip(1)
-        .flat_map(str::lines)
+    let lines = rendered.split("\n\n").skip(1).flat_map(str::lines);
+    let tips = lines
         .filter_map(|line| line.trim().strip_prefix("tip: "))
         // Of an option that is none here: no file or sample is called so.
         .filter_map(|tip| match tip.strip_prefix("to pass '") {
@@ -264,8 +262,7 @@ fn takers(option: &str, subcommand: &str) -> Option<String> {
     let long = option.strip_prefix("--")?;
     let (above, _) = subcommand.rsplit_once(' ')?;
     let within = |command: clap::Command, word| command.find_subcommand(word).cloned();
-    let mut words = above.split(' ').skip(1);
-    let parent = words.try_fold(definition(), within)?;
+    let parent = above.split(' ').skip(1).try_fold(definition(), within)?;
     let takes = |command: &&clap::Command| {
         let mut longs = command.get_arguments().map(clap::Arg::get_long);
         longs.any(|its| its == Some(long))
@@ -274,8 +271,9 @@ fn takers(option: &str, subcommand: &str) -> Option<String> {
     let beside = parent.get_subcommands().filter(takes);
     let beside = beside.map(|command| format!("`{above} {}`", command.get_name()));
     let all: Vec<_> = itself.into_iter().chain(beside).collect();
-    let few = (1..=3).contains(&all.len());
-    few.then(|| format!("{option} is of {}", all.join(" and ")))
+    (1..=3)
+        .contains(&all.len())
+        .then(|| format!("{option} is of {}", all.join(" and ")))
 }
 
 /// What clap finds wrong, without its tips.

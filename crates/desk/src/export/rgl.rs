@@ -37,6 +37,7 @@ pub(super) const FORMAT: Format = Format {
 pub(super) const SPECTRAL_FORMAT: Format = Format {
     name: "rgl-spectral",
     about: "RGL .bsdf with spectra, for pbrt-v4's `measured` and spectral Mitsuba 3",
+    ending: "spectral.bsdf",
     writer: Writer::OfFit(|record, files| replace(&files[0], &of_fit(record, Channels::Spectral)?)),
     ..FORMAT
 };

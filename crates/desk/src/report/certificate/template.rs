@@ -116,7 +116,7 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
         fact(
             "Geometry",
             format!(
-                "{} light directions from {:?} stage; camera {}",
+                "light directions: {}; stage {:?}; camera {}",
                 session.plan.lights.len(),
                 stage.driver,
                 result.camera_geometry()
