@@ -224,8 +224,11 @@ fn images_of(
 pub struct LitSphere {
     size: usize,
     maps: usize,
-    pixels: Vec<(usize, Vec<(Incident, Box<[Arriving]>)>)>,
+    pixels: Vec<LitPixel>,
 }
+
+/// A pixel's index and what reaches it.
+type LitPixel = (usize, Vec<(Incident, Box<[Arriving]>)>);
 
 impl LitSphere {
     /// Under some maps, `size` × `size` pixels.
@@ -246,7 +249,7 @@ impl LitSphere {
 
     /// The sphere of `brdf` under each map.
     pub fn images(&self, brdf: &dyn Brdf) -> Vec<SphereImage> {
-        let shade = |(pixel, lights): &(usize, Vec<(Incident, Box<[Arriving]>)>)| {
+        let shade = |(pixel, lights): &LitPixel| {
             let mut sums = vec![[0.0f64; 3]; self.maps];
             for (light, arriving) in lights {
                 reflect(&[brdf], light, arriving, &mut sums);
