@@ -6,10 +6,11 @@ use rig_bench::capture;
 #[cfg(feature = "experiments")]
 use rig_bench::workflow;
 use rig_core::{
-    bench_priors, brdf, cells, geometry, inverse, progress, random, transport, units, whole_file,
+    bench_priors, brdf, cells, frames, geometry, inverse, progress, random, transport, units,
+    whole_file,
 };
 #[cfg(feature = "experiments")]
-use rig_core::{file_system, frames, outside_file, radiance_image, simplex, statistics};
+use rig_core::{file_system, outside_file, radiance_image, simplex, statistics};
 #[cfg(feature = "experiments")]
 use rig_desk::{cluster, result_table};
 #[cfg(feature = "experiments")]
