@@ -14,6 +14,7 @@ use super::baseline::{LEAST_COSINE, Pair, Training, linear, table_shape};
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, doublings};
 use super::lab::samples::{BELIEVED_SEGMENTS, TRUE_SEGMENTS, directional};
 use super::lab::{Lab, Material};
+use super::shown_angles::figure;
 use crate::brdf::Dictionary;
 use crate::geometry::Shape;
 use crate::geometry::shapes::Form;
@@ -355,10 +356,11 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         y: Axis::decades(low - 0.1..high + 0.1, "environment error (relative)"),
         series,
     };
-    Ok(vec![
-        charts("designs", 1, &[shown]),
-        super::shown_angles::figure()?,
-    ])
+    let samples = [
+        ("bowl, four lamps", Design::Bowl.scene(4, 40, 128)?),
+        ("ridge, four lamps", Design::Ridge.scene(4, 40, 128)?),
+    ];
+    Ok(vec![charts("designs", 1, &[shown]), figure(&samples)])
 }
 
 #[cfg(test)]

@@ -4,39 +4,32 @@ use std::f32::consts::TAU;
 
 use glam::{DVec2, Vec3};
 
-use super::designs::Design;
-use super::experiment::EvaluateError;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, stream};
 use crate::transport::Scene;
 
-/// Pixels along a side of the view.
-const RESOLUTION_PX: usize = 40;
-/// Facets around the samples.
-const SEGMENTS: u32 = 128;
 /// Half the width of the section that is looked at, in radii.
 const SECTION: f32 = 0.12;
 /// Directions from each point that is seen.
 const DIRECTIONS: u32 = 6;
 
-/// Reflections on the section of a bowl and of a ridge under four lamps: where they happen along it, and
-/// at which difference angle.
-pub fn figure() -> Result<Figure, EvaluateError> {
-    let panel = |design: Design| -> Result<Chart, EvaluateError> {
-        let scene = design.scene(4, RESOLUTION_PX, SEGMENTS)?;
-        let [once, twice] = reflections(&scene);
-        Ok(Chart {
-            title: format!("{}, four lamps", design.name()),
+/// Reflections on the sections of named samples of about 2 mm: where they happen along them, and at
+/// which difference angle.
+pub fn figure(samples: &[(&str, Scene)]) -> Figure {
+    let panel = |(name, scene): &(&str, Scene)| {
+        let [once, twice] = reflections(scene);
+        Chart {
+            title: (*name).to_owned(),
             x: Axis::linear(-1.0..1.0, "place across the sample (radii)"),
             y: Axis::linear(0.0..90.0, "difference angle θd (degrees)"),
             series: vec![
                 Series::new("light reflected twice", 1, Mark::Dots, twice),
                 Series::new("light reflected once", 0, Mark::Dots, once),
             ],
-        })
+        }
     };
-    let panels = [panel(Design::Bowl)?, panel(Design::Ridge)?];
-    Ok(charts("shown-angles", 2, &panels))
+    let panels: Vec<Chart> = samples.iter().map(panel).collect();
+    charts("shown-angles", 2, &panels)
 }
 
 /// Place and difference angle, degrees, of what is seen of a white sample: by light that is reflected
@@ -45,11 +38,9 @@ fn reflections(scene: &Scene) -> [Vec<[f64; 2]>; 2] {
     let [mut once, mut twice] = [Vec::new(), Vec::new()];
     let difference_deg = |a: Vec3, b: Vec3| f64::from(0.5 * a.angle_between(b).to_degrees());
     let lights = 0..scene.lights.len();
-    for pixel in 0..RESOLUTION_PX * RESOLUTION_PX {
-        let at = DVec2::new(
-            (pixel % RESOLUTION_PX) as f64,
-            (pixel / RESOLUTION_PX) as f64,
-        );
+    let [width, height] = scene.camera.resolution_px;
+    for pixel in 0..width * height {
+        let at = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
         let ray = scene.camera.ray(at + 0.5, DVec2::ZERO);
         let Some((surface, to_viewer)) = scene.first(&ray) else {
             continue;
@@ -88,12 +79,13 @@ fn reflections(scene: &Scene) -> [Vec<[f64; 2]>; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::designs::Design;
 
     /// Parallel light has one difference angle per lamp, half of its angle from the camera; light that is
     /// reflected twice has those that no lamp of the bowl has.
     #[test]
     fn twice_reflected_light_shows_what_no_lamp_does() {
-        let scene = Design::Bowl.scene(4, RESOLUTION_PX, SEGMENTS).unwrap();
+        let scene = Design::Bowl.scene(4, 40, 128).unwrap();
         let [once, twice] = reflections(&scene);
         let halves = [0.0, 41.41, 28.96, 51.32].map(|deg| 0.5 * deg);
         for [_, angle] in &once {
