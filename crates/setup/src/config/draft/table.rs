@@ -475,7 +475,7 @@ fn of_the_lab() -> Vec<Question> {
         line("laboratory", "Laboratory").help("a name, or an accreditation number"),
         line("operator", "Who works at the bench").help("signs the certificate"),
         line("contact", "Whom to ask about a result").help("a name"),
-        line("city", "City of the laboratory"),
+        line("city", "City of the laboratory").help("certificates state where they were made"),
         number(
             "room_temperature_c",
             "Temperature of the room",
