@@ -66,6 +66,15 @@ pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
+/// Advice where a file cannot be written.
+pub const ANOTHER_FILE: &str = "choose a file in a folder that exists and can be written";
+
+/// What to do where a file cannot be written.
+pub fn unwritable(error: &std::io::Error) -> String {
+    let hint = for_error(error).filter(|_| error.kind() != std::io::ErrorKind::NotFound);
+    hint.unwrap_or_else(|| ANOTHER_FILE.to_owned())
+}
+
 /// Advice on one type of error; `None` for any other, and where there is none.
 type Advice = fn(&(dyn Error + 'static)) -> Option<String>;
 
@@ -234,7 +243,7 @@ fn for_export(error: &ExportError) -> Option<String> {
             "capture the sample under more lights; `rig report SESSION` shows what the images constrain"
                 .into(),
         ),
-        ExportError::Io { source, .. } => Some(super::output::unwritable_hint(source)),
+        ExportError::Io { source, .. } => Some(unwritable(source)),
         // The command gives the session to formats that need it.
         ExportError::NeedsSession { .. } => None,
         // No reader hands such values on.

@@ -49,9 +49,6 @@ pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
         .map_err(stdout_error)
 }
 
-/// Advice where a file cannot be written.
-pub const ANOTHER_FILE: &str = "choose a file in a folder that exists and can be written";
-
 /// Refuses a file whose name has not this ending: one of another kind would be replaced by a
 /// slip, and programs that rely on endings would not read it.
 pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
@@ -76,13 +73,7 @@ pub fn check_writable(path: &Path) -> Result<(), CliError> {
 
 /// A result that cannot be written, with advice by its cause.
 pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
-    CliError::new(format!("{}: {error}", path.display())).hint(unwritable_hint(error))
-}
-
-/// What to do where a file cannot be written.
-pub fn unwritable_hint(error: &std::io::Error) -> String {
-    let hint = hints::for_error(error).filter(|_| error.kind() != ErrorKind::NotFound);
-    hint.unwrap_or_else(|| ANOTHER_FILE.to_owned())
+    CliError::new(format!("{}: {error}", path.display())).hint(hints::unwritable(error))
 }
 
 /// Writes `value` as indented JSON and a line end to stdout.

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 
 use super::{SPEC_HELP, advise};
 use crate::cli::number::within;
-use crate::cli::output::{ANOTHER_FILE, check_ending, write_path};
-use crate::cli::{CliError, HintExt};
+use crate::cli::output::{check_ending, write_path};
+use crate::cli::{CliError, HintExt, hints};
 use crate::material;
 
 const EXAMPLES: &str = "Examples:
@@ -100,7 +100,7 @@ fn one_alone(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
     material::spheres(brdf.as_ref(), size)
         .save(path)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint(ANOTHER_FILE)?;
+        .hint(hints::ANOTHER_FILE)?;
     write_path(path)
 }
 
