@@ -66,7 +66,7 @@ table of exposures that isn't there | merge bad.png --exposures gone.csv | | gon
 shape that isn't one | shape bowl --radius=-1 --out s.ply | | -1 |
 offset of a shape out of its range | shape designed --offset 5 --out s.ply | | invalid value '5' for '--offset <C>' | `rig shape --help`
 mesh into a folder that doesn't exist | shape bowl --out gone/s.ply | | gone/s.ply: No such file or directory | check the path's spelling
-material into a folder that does not exist | brdf convert nbrdf:pvc --out gone/m.binary | | gone/m.binary: No such file or directory | choose a file in a folder that exists and can be written
+plot into a folder that does not exist | brdf plot nbrdf:pvc --out gone/m.png | | gone/m.png: No such file or directory | choose a file in a folder that exists and can be written
 mesh in place of a folder | shape bowl --out f.ply | | f.ply: it exists and is not a regular file |
 calibration of no rig | calibrate sensor --rig gone.toml | | gone.toml: No such file | check the path
 no such port | stage status --driver grbl --port gone/ttyUSB9 | | gone/ttyUSB9 does not exist | `rig devices`
