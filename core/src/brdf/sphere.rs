@@ -198,24 +198,27 @@ pub fn sphere_images(
     maps: &[EnvironmentMap],
     size: usize,
 ) -> Vec<Vec<SphereImage>> {
-    images_of(&shade(brdfs, maps, &normals(size)), maps, brdfs, size)
+    images_of(
+        &shade(brdfs, maps, &normals(size)),
+        [maps.len(), brdfs.len()],
+        size,
+    )
 }
 
 fn images_of(
     shaded: &[(usize, Vec<[f32; 3]>)],
-    maps: &[EnvironmentMap],
-    brdfs: &[&dyn Brdf],
+    [maps, brdfs]: [usize; 2],
     size: usize,
 ) -> Vec<Vec<SphereImage>> {
     let image = |map: usize, brdf: usize| {
         let mut radiance = vec![[0.0; 3]; size * size];
         for (pixel, values) in shaded {
-            radiance[*pixel] = values[map * brdfs.len() + brdf];
+            radiance[*pixel] = values[map * brdfs + brdf];
         }
         SphereImage { size, radiance }
     };
-    let under = |map| (0..brdfs.len()).map(|brdf| image(map, brdf)).collect();
-    (0..maps.len()).map(under).collect()
+    let under = |map| (0..brdfs).map(|brdf| image(map, brdf)).collect();
+    (0..maps).map(under).collect()
 }
 
 /// A sphere with the light that reaches each pixel, for the pictures of many BRDFs: each is
@@ -257,17 +260,7 @@ impl LitSphere {
             (*pixel, to_f32(&sums))
         };
         let shaded: Vec<_> = self.pixels.par_iter().map(shade).collect();
-        let mut image = vec![[0.0; 3]; self.size * self.size];
-        let mut under = |map: usize| {
-            shaded
-                .iter()
-                .for_each(|(pixel, values)| image[*pixel] = values[map]);
-            SphereImage {
-                size: self.size,
-                radiance: image.clone(),
-            }
-        };
-        (0..self.maps).map(&mut under).collect()
+        images_of(&shaded, [self.maps, 1], self.size).concat()
     }
 }
 
@@ -378,7 +371,10 @@ pub fn sphere_matrices(
         }),
     };
     let matrices = (0..maps.len()).map(matrix).collect();
-    (matrices, images_of(&shaded, maps, brdfs, size))
+    (
+        matrices,
+        images_of(&shaded, [maps.len(), brdfs.len()], size),
+    )
 }
 
 #[cfg(test)]
