@@ -58,11 +58,12 @@ pub struct AlbedoPair {
 impl Loss {
     /// Of `model` against `material`, by spheres of `size` pixels a side.
     pub fn of(model: &ParametricBrdf, material: &dyn Brdf, size: usize) -> Self {
-        Self::beside(model, material, &[], size).0
+        Self::with_spheres_of(model, material, &[], size).0
     }
 
-    /// [`Self::of`] and, in little more time, the spheres of others under each map.
-    pub fn beside(
+    /// [`Self::of`], and images of spheres of `others` under each environment map, which the same
+    /// pass over the maps renders.
+    pub fn with_spheres_of(
         model: &ParametricBrdf,
         material: &dyn Brdf,
         others: &[&dyn Brdf],

@@ -149,7 +149,7 @@ mod tests {
         let checks = examine(&rig);
         let failed = checks.iter().find(|check| check.verdict == Verdict::Failed);
         assert!(failed.is_none(), "{failed:?}");
-        // Its records are built in: advice to make others would lead nowhere.
+        // Its records are built into the program, so no check may advise to record more.
         let lacks = |check: &&Check| matches!(check.trouble, Some(Trouble::NoRecord(_)));
         let lacking = checks.iter().find(lacks);
         assert!(lacking.is_none(), "{lacking:?}");

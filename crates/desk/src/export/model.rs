@@ -76,7 +76,7 @@ pub struct AsModel {
     pub loss: Loss,
     /// Environment error where the extensions are ignored, if the file has any.
     pub without_extensions: Option<f64>,
-    /// Spheres of a grey card under each map, beside those of the loss.
+    /// Images of an 18% grey sphere, one for each environment map, to show next to `loss.spheres`.
     pub greys: Vec<SphereImage>,
 }
 
@@ -102,7 +102,8 @@ impl AsModel {
         let core = fitted.core_brdf();
         let others: [&dyn Brdf; 2] = [&GreyCard, &core];
         let others = &others[..1 + usize::from(has_extensions)];
-        let (loss, others) = Loss::beside(&fitted.brdf(), brdf, others, score::SPHERE_SIZE);
+        let (loss, others) =
+            Loss::with_spheres_of(&fitted.brdf(), brdf, others, score::SPHERE_SIZE);
         let without_extensions = has_extensions.then(|| {
             let pairs = others.iter().zip(&loss.spheres);
             let errors =
