@@ -203,7 +203,7 @@ impl Prospects {
             .collect();
         for batch in lights.chunks(BATCH) {
             scene.lights = batch.to_vec();
-            let traced = Traced::new(&scene, &scene, options)?;
+            let traced = Traced::new(&scene, grid_of(&scene), options)?;
             let plain = traced.objective(options);
             for Prospect {
                 subject,
@@ -333,17 +333,13 @@ struct Traced {
 }
 
 impl Traced {
-    /// Over the cells of `described`, which has the same camera.
+    /// Over given cells of the scene's camera.
     fn new(
         scene: &Scene,
-        described: &Scene,
+        grid: Grid,
         options: &PredictionOptions,
     ) -> Result<Self, PredictionError> {
-        let grid_options = CellOptions {
-            budget: CELLS,
-            ..CellOptions::default()
-        };
-        let captured = unknown_images(described, choose(described, &grid_options));
+        let captured = unknown_images(scene, grid);
         let (cells, white) = (&*captured.cells, white()?);
         let direct = DirectMatrix::new(scene, cells, &white, DIRECT_STRATA, options.seed);
         let paths = CacheOptions {
@@ -370,6 +366,15 @@ impl Traced {
             options.model_error,
         )
     }
+}
+
+/// The cells over which a scene's images are predicted.
+fn grid_of(scene: &Scene) -> Grid {
+    let options = CellOptions {
+        budget: CELLS,
+        ..CellOptions::default()
+    };
+    choose(scene, &options)
 }
 
 /// What the tables of ln f multiply.

@@ -1,30 +1,32 @@
-//! What it adds to the expected error that a bench is not as described.
+//! The error that a wrong description of the bench adds to the expected one.
 
 use std::sync::Arc;
 
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::{PredictionError, PredictionOptions, Prospect, Subject, Traced, unit, white};
+use super::{PredictionError, PredictionOptions, Prospect, Subject, Traced, grid_of, unit, white};
 use crate::brdf::Mixture;
 use crate::brdf::discrepancy::{Material, Prior};
 use crate::inverse::objective::{DiscrepancyModel, ModelImage, Objective, ResidualWeights};
 use crate::transport::Scene;
 
-/// A scene as it may be in truth: one of its parameters is off.
+/// A true scene that differs from its description in one parameter.
 pub struct Deviation {
-    /// With as many lights as the scene that it departs from.
+    /// The true scene; its lights stand in the order of the description's.
     pub scene: Scene,
-    /// Its square counts by 1 over this: of n that are drawn for one parameter n, times the squared number
-    /// of standard deviations.
-    pub among: f64,
-    /// Whether each light deviates on its own.
+    /// By how much the squared error counts: 1/k² for k standard deviations, over n for one
+    /// of n random draws.
+    pub weight: f64,
+    /// Whether each light's error is independent of the others'.
     pub by_light: bool,
 }
 
-/// For each material the error √(Σ bᵀ E b) that deviations cause which the fit does not know of, with
-/// b = C Jᵀ W Δ what a departure Δ of the images does to ln f. It adds to the expected error in squares.
-/// Δ comes from two independent sets of paths, so that their noise does not count as a departure.
+/// For each material the environment error √(Σ bᵀ E b) of a fit that takes the description for true.
+///
+/// Δ is the true image less the described one, b = C Jᵀ W Δ the resulting error of ln f; C, J, W and E
+/// are those of the expected error, to which the result adds in squares. The two b of a product have Δ
+/// from independent paths, so that noise of the paths does not add up.
 ///
 /// # Errors
 /// Bodies that cannot be taken into account.
@@ -34,15 +36,16 @@ pub fn error_by_deviations(
     subjects: &[Arc<Subject>],
     options: &PredictionOptions,
 ) -> Result<Vec<f64>, PredictionError> {
+    let grid = grid_of(scene);
     let other_paths = PredictionOptions {
         seed: options.seed.wrapping_add(0x5eed),
         ..options.clone()
     };
     let pairs = [options, &other_paths].map(|options| -> Result<_, PredictionError> {
-        let own = Traced::new(scene, scene, options)?;
+        let own = Traced::new(scene, grid.clone(), options)?;
         let others: Result<Vec<Traced>, _> = deviations
             .par_iter()
-            .map(|deviation| Traced::new(&deviation.scene, scene, options))
+            .map(|deviation| Traced::new(&deviation.scene, grid.clone(), options))
             .collect();
         Ok((own, others?))
     });
@@ -50,6 +53,7 @@ pub fn error_by_deviations(
     let (first, second) = (first?, second?);
     let mixture = Mixture::grey(white()?, vec![1.0])?;
     let of_subject = |subject: &Arc<Subject>| {
+        // True images less described ones, by either set of paths.
         let material = Material::new(mixture.clone(), std::slice::from_ref(&subject.ln_f));
         let prior = &subject.prior;
         // Images of the material in a scene, by the paths traced there.
@@ -59,7 +63,7 @@ pub fn error_by_deviations(
             let all = plain.with_discrepancy(&model).modelled(&unit());
             all.iter().map(values).collect::<Vec<_>>()
         };
-        let departures = |(own, others): &(Traced, Vec<Traced>)| -> Vec<Vec<Vec<f64>>> {
+        let differences = |(own, others): &(Traced, Vec<Traced>)| -> Vec<Vec<Vec<f64>>> {
             let described = images(own, scene);
             let of = |(traced, deviation): (&Traced, &Deviation)| {
                 let true_images = images(traced, &deviation.scene);
@@ -70,9 +74,9 @@ pub fn error_by_deviations(
             };
             others.iter().zip(deviations).map(of).collect()
         };
-        let departures = [departures(&first), departures(&second)];
+        let differences = [differences(&first), differences(&second)];
 
-        // What the estimate makes of them.
+        // What the fit's estimate makes of them.
         let plain = first.0.objective(options);
         let model = DiscrepancyModel::of_compared(&plain, scene, &material, prior, options.seed);
         let objective = plain.with_discrepancy(&model);
@@ -84,8 +88,8 @@ pub fn error_by_deviations(
         };
         let all: Vec<usize> = (0..scene.lights.len()).collect();
         let covariance = prospect.covariance(&all);
-        let scores =
-            departures.map(|departures| scores(&objective, prior, &model, &weights, &departures));
+        let scores = differences
+            .map(|differences| scores(&objective, prior, &model, &weights, &differences));
         let mut square = 0.0;
         for (k, deviation) in deviations.iter().enumerate() {
             let parts = |scores: &[Vec<DVector<f64>>]| -> Vec<DVector<f64>> {
@@ -100,7 +104,7 @@ pub fn error_by_deviations(
                 .iter()
                 .zip(&b)
                 .map(|(a, b)| a.dot(&(&subject.curvature * b)));
-            square += products.sum::<f64>() / deviation.among;
+            square += deviation.weight * products.sum::<f64>();
         }
         square.max(0.0).sqrt()
     };
@@ -111,16 +115,17 @@ fn values(image: &ModelImage) -> Vec<f64> {
     image.iter().map(|cell| cell[0].value()).collect()
 }
 
-/// Jᵀ W Δ of each departure (`[deviation][light][cell]`) and light.
+/// Jᵀ W Δ for each deviation and light, the sum over the light's cells; `differences` holds Δ as
+/// `[deviation][light][cell]`.
 fn scores(
     objective: &Objective<'_>,
     prior: &Prior,
     model: &DiscrepancyModel,
     weights: &ResidualWeights,
-    departures: &[Vec<Vec<f64>>],
+    differences: &[Vec<Vec<f64>>],
 ) -> Vec<Vec<DVector<f64>>> {
     let modes = prior.modes();
-    let none = || vec![vec![DVector::zeros(modes.ncols()); objective.lights()]; departures.len()];
+    let none = || vec![vec![DVector::zeros(modes.ncols()); objective.lights()]; differences.len()];
     objective.accumulate(
         &unit(),
         weights,
@@ -131,8 +136,8 @@ fn scores(
                 .direct
                 .by_modes(value.cell, value.light, value.channel);
             let [a, b] = value.by_modes;
-            for (sum, departure) in sums.iter_mut().zip(departures) {
-                let scale = value.weight * departure[value.light][value.cell];
+            for (sum, difference) in sums.iter_mut().zip(differences) {
+                let scale = value.weight * difference[value.light][value.cell];
                 let each = sum[value.light].iter_mut().zip(a.iter().zip(b)).zip(direct);
                 for ((sum, (&a, &b)), &direct) in each {
                     let indirect = 0.5 * (f64::from(a) + f64::from(b));

@@ -171,7 +171,7 @@ fn deviations_add_in_proportion() {
             .iter()
             .map(|&off| Deviation {
                 scene: bowl(lights(off)),
-                among: 1.0,
+                weight: 1.0,
                 by_light,
             })
             .collect();

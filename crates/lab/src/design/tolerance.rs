@@ -27,14 +27,20 @@ impl Default for Tolerance {
     }
 }
 
-/// Surfaces that are drawn.
+impl std::fmt::Display for Tolerance {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "{},{}", self.length_mm, self.angle_deg)
+    }
+}
+
+/// Random surfaces.
 const SURFACES: u64 = 4;
 /// Standard deviations by which a parameter is off: the images' departure is in proportion, and
 /// exceeds the noise of their paths.
 const STEP: f64 = 3.0;
 
 impl Tolerance {
-    /// From `MM,DEG`.
+    /// From `MM,DEG`, as it is displayed.
     ///
     /// # Errors
     /// What is expected instead.
@@ -67,7 +73,7 @@ impl Tolerance {
             |mesh| Scene::new(mesh, Shading::Smooth, scene.camera, scene.lights.clone());
         let one = |scene| Deviation {
             scene,
-            among: STEP * STEP,
+            weight: 1.0 / (STEP * STEP),
             by_light: false,
         };
         let mut all = Vec::new();
@@ -79,7 +85,7 @@ impl Tolerance {
                 let mut numbers = stream(seed, Purpose::Experiment, k, 0, 0);
                 let field = error.field(mesh.mean_edge_mm(), &mut numbers);
                 Deviation {
-                    among: SURFACES as f64 * STEP * STEP,
+                    weight: 1.0 / (SURFACES as f64 * STEP * STEP),
                     ..one(with_sample(field.deform(mesh, 1.0)))
                 }
             }));
