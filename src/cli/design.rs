@@ -51,7 +51,7 @@ pub struct DesignArgs {
     #[arg(long, value_name = "MM", default_value_t = Limits::default().thickness_mm, value_parser = within(0.0, 100.0))]
     thickness: f64,
     /// How exactly it is made and placed, standard deviations: surface and place, slope, turn and lamps
-    #[arg(long, value_name = "MM,DEG", default_value = "0.05,0.3", value_parser = design::Tolerance::parse)]
+    #[arg(long, value_name = "MM,DEG", default_value_t = design::Tolerance::default(), value_parser = design::Tolerance::parse)]
     tolerance: design::Tolerance,
     /// Depth that the camera sees sharp, mm, 0.1 to 1000
     #[arg(long, value_name = "MM", default_value_t = Limits::default().depth_of_field_mm, value_parser = within(0.1, 1e3))]
