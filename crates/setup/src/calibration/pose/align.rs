@@ -10,6 +10,7 @@ use super::patches::{
 use super::pyramid::{factors, moved_px, target};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
+use super::slope::Eliminated;
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
 use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
@@ -20,7 +21,7 @@ use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 
 /// Variance of the blur before the images, and its deviation, square pixels.
-const BLUR_PX2: [f64; 2] = [0.2, 0.5];
+pub(super) const BLUR_PX2: [f64; 2] = [0.2, 0.5];
 /// Pixels by which a step of the derivatives moves the sample.
 const STEP_PX: f64 = 0.5;
 /// Derivatives hold while the sample has moved by less, pixels.
@@ -126,6 +127,7 @@ fn align_from(
         let two = sizes.len().saturating_sub(2);
         sizes.drain(..two);
     }
+    let finest = sizes.last().copied();
     let mut last = None;
     let mut rounds = 0;
     for factor in sizes {
@@ -134,7 +136,7 @@ fn align_from(
             Some(_) => (4.0 * aligner.blur_px2).clamp(BLUR_PX2[0], LARGEST_BLUR_PX2),
             None => BLUR_PX2[0],
         };
-        let (level, taken) = aligner.level(factor)?;
+        let (level, taken) = aligner.level(factor, Some(&factor) == finest.as_ref())?;
         rounds += taken;
         last = Some((level, factor));
     }
@@ -184,12 +186,12 @@ fn check_view(scene: &Scene) -> Result<(), PoseError> {
 /// Part of the mesh's corners that must appear in the image.
 const LEAST_IN_VIEW_PERCENT: f64 = 10.0;
 
-struct Aligner<'a> {
-    bench: Nuisance,
+pub(super) struct Aligner<'a> {
+    pub(super) bench: Nuisance,
     sight: Sight<'a>,
     images: &'a [RadianceImage],
     options: &'a PoseOptions,
-    values: DVector<f64>,
+    pub(super) values: DVector<f64>,
     blur_px2: f64,
 }
 
@@ -202,7 +204,7 @@ struct Level {
 }
 
 /// What is compared around one pose.
-struct Views {
+pub(super) struct Views {
     patches: Vec<[usize; 2]>,
     wanted: Vec<bool>,
     pairs: Vec<Pair>,
@@ -220,34 +222,34 @@ struct Sum {
 }
 
 impl Aligner<'_> {
-    fn level(&mut self, factor: usize) -> Result<(Level, usize), PoseError> {
+    /// Rounds on one size of pixels; on the finest, the slope of the score is measured.
+    fn level(&mut self, factor: usize, finest: bool) -> Result<(Level, usize), PoseError> {
         let grid = Grid::new(self.images_size(), factor);
         let targets: Vec<Target> = self.images.iter().map(|i| target(i, grid)).collect();
         let mut views = self.views(grid)?;
         let mut away_px = 0.0;
         let mut round = 0;
+        let mut slope: Option<(DMatrix<f64>, usize)> = None;
         loop {
             round += 1;
-            let scene = self.bench.scene(&self.values);
-            if away_px > NEAR_PX * factor as f64 {
+            if away_px > NEAR_PX * factor as f64 && slope.is_none() {
                 views = self.views(grid)?;
                 away_px = 0.0;
             }
-            let base = self.sight.parts(&scene, grid, &views.wanted, factor as u64);
-            let patches = accumulate_patches(
-                grid,
-                &targets,
-                &views.patches,
-                &base,
-                &views.pairs,
-                self.bench.parameters(),
-                self.blur_px2,
-            );
-            let sum = self.sum(&patches);
-            let step = sum.spectrum.step(&self.values, &sum.score);
-            let settled = sum.spectrum.length(&step) < SETTLED;
+            let patches = self.equations(grid, &targets, &views, &self.values, None);
+            let sum = self.sum(&patches, slope.as_ref().map(|(slope, _)| slope));
+            // The rays' noise moves where the score vanishes: once its slope is measured, the
+            // mean over the rounds is sought.
+            let measured = slope.as_ref().map(|(_, since)| round - since);
+            let gain = measured.map_or(1.0, |rounds| 1.0 / rounds as f64);
+            let step = sum.spectrum.step(&self.values, &sum.score) * gain;
+            let settled = self.length(&sum.spectrum, &step) < SETTLED;
             tracing::debug!(factor, round, values = ?self.values.as_slice(), step = ?step.as_slice(), blur = self.blur_px2, "pose round");
-            if settled || round >= self.options.rounds {
+            if finest && slope.is_none() && (settled || round >= self.options.rounds / 3) {
+                slope = Some((self.slope(grid, &targets, &views, &patches), round));
+                continue;
+            }
+            if settled || measured.unwrap_or(round) >= self.options.rounds {
                 let level = Level {
                     grid,
                     patches,
@@ -260,6 +262,20 @@ impl Aligner<'_> {
             self.blur_px2 = (self.blur_px2 + blur).clamp(0.0, LARGEST_BLUR_PX2);
             away_px += moved_px(&self.bench, &step);
             self.values += step;
+        }
+    }
+
+    /// The pose's part of a step in posterior standard deviations, lights marginalised.
+    fn length(&self, spectrum: &Spectrum, step: &DVector<f64>) -> f64 {
+        let parameters = self.bench.parameters();
+        let pose: Vec<usize> = (0..step.len())
+            .filter(|&k| parameters[k].light().is_none())
+            .collect();
+        let root = spectrum.posterior_root().select_rows(&pose);
+        let moved = step.select_rows(&pose);
+        match (&root * root.transpose()).cholesky() {
+            Some(covariance) => moved.dot(&covariance.solve(&moved)).sqrt(),
+            None => f64::INFINITY,
         }
     }
 
@@ -298,7 +314,9 @@ impl Aligner<'_> {
         let pairs: Vec<Pair> = groups
             .into_iter()
             .map(|group| {
-                let step = self.step_of(group[0], grid.factor);
+                let mut one = DVector::zeros(self.values.len());
+                one[group[0]] = 1.0;
+                let step = self.step_of(&one, grid.factor);
                 let parts = [1.0, -1.0].map(|sign| {
                     let mut values = self.values.clone();
                     for &k in &group {
@@ -321,46 +339,61 @@ impl Aligner<'_> {
         })
     }
 
-    /// A step of parameter `k` that moves the image by half a pixel of the grid, at most
-    /// three prior deviations; a light's is one that moves shadows about as far.
-    fn step_of(&self, k: usize, factor: usize) -> f64 {
-        let mut values = DVector::zeros(self.values.len());
-        let step_px = STEP_PX * factor as f64;
-        let like = |k: usize| match self.bench.parameters()[k] {
-            Parameter::LightAzimuth(_) | Parameter::LightElevation(_) => {
-                // The arc over the sample that a pixel is.
-                let rotation = self
-                    .bench
-                    .parameters()
-                    .iter()
-                    .position(|p| matches!(p, Parameter::Rotation(_)));
-                rotation.unwrap_or(k)
-            }
-            _ => k,
-        };
-        let largest = 3.0 * self.bench.prior_deviation(k);
-        let unit = self.bench.prior_deviation(like(k));
-        values[like(k)] = unit;
-        let moved = moved_px(&self.bench, &values);
-        (unit * step_px / moved.max(1e-9)).min(largest)
+    /// Normal equations of all patches where the parameters are `values`; weighted as
+    /// `like` or by their own residuals.
+    pub(super) fn equations(
+        &self,
+        grid: Grid,
+        targets: &[Target],
+        views: &Views,
+        values: &DVector<f64>,
+        like: Option<&[PatchEquations]>,
+    ) -> Vec<PatchEquations> {
+        let scene = self.bench.scene(values);
+        let base = self
+            .sight
+            .parts(&scene, grid, &views.wanted, grid.factor as u64);
+        accumulate_patches(
+            grid,
+            targets,
+            &views.patches,
+            &base,
+            &views.pairs,
+            self.bench.parameters(),
+            self.blur_px2,
+            like,
+        )
     }
 
-    fn sum(&self, patches: &[PatchEquations]) -> Sum {
+    /// A step along a direction of the parameters that moves the image by half a pixel of the
+    /// grid, at most three prior deviations; a light's is one that moves shadows about as far.
+    pub(super) fn step_of(&self, along: &DVector<f64>, factor: usize) -> f64 {
+        let parameters = self.bench.parameters();
+        let pose = (0..along.len()).any(|k| parameters[k].light().is_none() && along[k] != 0.0);
+        let turn = |p: &Parameter| matches!(p, Parameter::Rotation(_));
+        let moved = match parameters.iter().position(turn) {
+            // The arc over the sample that a pixel is.
+            Some(k) if !pose => {
+                let mut values = DVector::zeros(along.len());
+                values[k] = along.amax();
+                moved_px(&self.bench, &values)
+            }
+            _ => moved_px(&self.bench, along),
+        };
+        let deviations = (0..along.len()).map(|k| along[k].abs() / self.bench.prior_deviation(k));
+        let largest = 3.0 / deviations.fold(1e-12, f64::max);
+        (STEP_PX * factor as f64 / moved.max(1e-9)).min(largest)
+    }
+
+    fn sum(&self, patches: &[PatchEquations], slope: Option<&DMatrix<f64>>) -> Sum {
         let n = self.values.len();
-        let mut information = DMatrix::zeros(n + 1, n + 1);
-        for patch in patches {
-            information += &patch.information;
-        }
-        let to_blur = information.view((0, n), (n, 1)).column(0).into_owned();
-        let blur_information = information[(n, n)] + BLUR_PX2[1].powi(-2);
-        let own =
-            information.view((0, 0), (n, n)) - &to_blur * to_blur.transpose() / blur_information;
+        let eliminated = Eliminated::new(patches, n);
         let mut block_scores: Vec<DVector<f64>> = patches
             .iter()
-            .map(|patch| patch.score.rows(0, n) - &to_blur * (patch.score[n] / blur_information))
+            .map(|patch| eliminated.score(patch))
             .collect();
         // The estimate has made the patches' scores smaller than their errors.
-        let spectrum = Spectrum::new(&self.bench, &(0.5 * (&own + own.transpose())));
+        let spectrum = Spectrum::new(&self.bench, slope.unwrap_or(&eliminated.information));
         let determined = spectrum
             .values
             .iter()
@@ -372,7 +405,7 @@ impl Aligner<'_> {
         let score = block_scores
             .iter()
             .fold(DVector::zeros(n), |sum, s| sum + s)
-            - &to_blur * (prior_pull / blur_information);
+            - &eliminated.to_blur * (prior_pull / eliminated.blur_information);
         for score in &mut block_scores {
             *score *= grow;
         }
@@ -380,8 +413,8 @@ impl Aligner<'_> {
             spectrum: spectrum.widened(&block_scores, 1.0),
             score,
             blur_score: patches.iter().map(|p| p.score[n]).sum::<f64>() + prior_pull,
-            to_blur,
-            blur_information,
+            to_blur: eliminated.to_blur,
+            blur_information: eliminated.blur_information,
         }
     }
 

@@ -16,6 +16,7 @@
 //! | `patches` | normal equations from small patches of the images |
 //! | `pyramid` | images on coarse and fine pixels |
 //! | `align` | the rounds, from coarse pixels to fine |
+//! | `slope` | how much the images really say |
 //! | `search` | where to begin if the description is far off |
 //! | `values` | what the record holds |
 //! | `figure` | what the operator sees |
@@ -28,6 +29,7 @@ mod pieces;
 mod pyramid;
 mod regions;
 mod search;
+mod slope;
 mod values;
 
 #[cfg(test)]

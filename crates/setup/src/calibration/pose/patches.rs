@@ -57,6 +57,8 @@ pub struct PatchEquations {
     pub chi2: [f64; 2],
     /// The same if the patch were one region.
     pub chi2_plain: f64,
+    /// Each light's weight, at most 1: residuals beyond the noise lower it.
+    pub weights: Vec<f64>,
 }
 
 /// First pixels of the patches in which regions meet, for at least one light.
@@ -104,7 +106,9 @@ fn labels(grid: Grid, parts: &Parts, light: usize, [x, y]: [usize; 2]) -> Vec<(u
     found
 }
 
-/// Normal equations of each patch, linearised at `base` with the blur at `blur_px2`.
+/// Normal equations of each patch, linearised at `base` with the blur at `blur_px2`; weighted
+/// as `like` was, patch by patch, or by their own residuals.
+#[allow(clippy::too_many_arguments)]
 pub fn accumulate_patches(
     grid: Grid,
     targets: &[Target],
@@ -113,15 +117,17 @@ pub fn accumulate_patches(
     pairs: &[Pair],
     parameters: &[Parameter],
     blur_px2: f64,
+    like: Option<&[PatchEquations]>,
 ) -> Vec<PatchEquations> {
     let unknowns = parameters.len() + 1;
-    let patch = |&at: &[usize; 2]| {
+    let patch = |(index, &at): (usize, &[usize; 2])| {
         let mut sum = PatchEquations {
             at,
             information: DMatrix::zeros(unknowns, unknowns),
             score: DVector::zeros(unknowns),
             chi2: [0.0; 2],
             chi2_plain: 0.0,
+            weights: vec![1.0; targets.len()],
         };
         for (light, target) in targets.iter().enumerate() {
             let basis = Basis::new(grid, base, light, at);
@@ -131,8 +137,11 @@ pub fn accumulate_patches(
             sum.chi2[0] += fit.chi2;
             sum.chi2[1] += fit.freedom;
             sum.chi2_plain += fit.chi2_plain;
-            // Residuals beyond the noise lower the patch's weight.
-            let weight = (fit.freedom / fit.chi2.max(1e-300)).min(1.0);
+            let weight = match like {
+                Some(like) => like[index].weights[light],
+                None => (fit.freedom / fit.chi2.max(1e-300)).min(1.0),
+            };
+            sum.weights[light] = weight;
             let mut jacobian = DMatrix::zeros(SIDE * SIDE, unknowns);
             let change = |to: DMatrix<f64>, from: DMatrix<f64>, across: f64| {
                 fit.beyond(&((to - from) * &fit.coefficients / across))
@@ -154,7 +163,7 @@ pub fn accumulate_patches(
         }
         sum
     };
-    patches.par_iter().map(patch).collect()
+    patches.par_iter().enumerate().map(patch).collect()
 }
 
 /// The functions whose sum a patch's radiance is, under one light.

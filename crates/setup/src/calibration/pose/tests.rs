@@ -15,8 +15,13 @@ use crate::simulation::posed_sample::{SIZE, bowl, corner, photographs, scene, te
 use crate::transport::{Projection, Scene};
 
 fn priors() -> BenchPriors {
+    with_lights(0.1)
+}
+
+/// Priors with lights known to so many degrees.
+fn with_lights(light_deg: f64) -> BenchPriors {
     BenchPriors {
-        light_rad: 0.1f64.to_radians(),
+        light_rad: light_deg.to_radians(),
         rotation_rad: 0.4f64.to_radians(),
         translation_mm: 0.3,
         ..BenchPriors::default()
@@ -34,20 +39,27 @@ fn quick() -> PoseOptions {
 fn one_bench(
     shape: fn(u32) -> Shape,
     projection: Projection,
+    priors: &BenchPriors,
+    size: usize,
     seed: u64,
 ) -> (Vector6<f64>, PoseEstimate, f64) {
     let mut numbers = stream(seed, Purpose::Experiment, 1, 0, 0);
-    let turned_rad = [[0; 2]; 2].map(|light| light.map(|_| priors().light_rad * numbers.normal()));
-    let described = scene(shape(64).mesh().unwrap(), projection, [[0.0; 2]; 2]);
-    let true_scene = scene(shape(180).mesh().unwrap(), projection, turned_rad);
+    let turned_rad = [[0; 2]; 2].map(|light| light.map(|_| priors.light_rad * numbers.normal()));
+    let scene = |segments, turned_rad| {
+        let mut scene = scene(shape(segments).mesh().unwrap(), projection, turned_rad);
+        scene.camera.resolution_px = [size; 2];
+        scene
+    };
+    let described = scene(64, [[0.0; 2]; 2]);
+    let true_scene = scene(180, turned_rad);
     let mut vector = |s: f64| DVec3::new(numbers.normal(), numbers.normal(), numbers.normal()) * s;
-    let rotation = vector(priors().rotation_rad);
-    let translation = vector(priors().translation_mm);
+    let rotation = vector(priors.rotation_rad);
+    let translation = vector(priors.translation_mm);
     let moved = with_sample_at(true_scene, rotation, translation);
-    let found = align(&described, &photographs(&moved, seed), &priors(), &quick()).unwrap();
+    let found = align(&described, &photographs(&moved, seed), priors, &quick()).unwrap();
     let truth = Vector6::from_vec([rotation.to_array(), translation.to_array()].concat());
     let across_mm = DVec2::new(found.values[3] - truth[3], found.values[4] - truth[4]);
-    let across_px = across_mm.length() * SIZE as f64 / 26.0;
+    let across_px = across_mm.length() * size as f64 / 26.0;
     (truth, found, across_px)
 }
 
@@ -61,10 +73,16 @@ struct Pulls {
     across_px: f64,
 }
 
-fn pulls(shape: fn(u32) -> Shape, projection: Projection, seeds: u64) -> Pulls {
+fn pulls(
+    shape: fn(u32) -> Shape,
+    projection: Projection,
+    priors: &BenchPriors,
+    size: usize,
+    seeds: u64,
+) -> Pulls {
     let (mut chi2, mut squares, mut across_px2) = (0.0, [0.0; 6], 0.0);
     for seed in 0..seeds {
-        let (truth, found, across_px) = one_bench(shape, projection, seed);
+        let (truth, found, across_px) = one_bench(shape, projection, priors, size, seed);
         let error = Vector6::from(found.values) - truth;
         let covariance = Matrix6::from_fn(|i, j| found.covariance[i][j]);
         chi2 += error.dot(&covariance.cholesky().unwrap().solve(&error));
@@ -93,16 +111,26 @@ fn poses_are_found_within_their_uncertainty() {
     // Quantiles of χ² with 18 degrees of freedom at 2.5e-4 and 1 − 2.5e-4.
     const CHI2: [f64; 2] = [4.2, 46.0];
     let perspective = Projection::Perspective { fov_rad: 0.13 };
-    for (name, shape, projection, worst_px) in [
+    for (name, shape, projection, light_deg, size, worst_px) in [
         (
             "bowl, telecentric",
             bowl as fn(u32) -> Shape,
             telecentric(),
             0.1,
+            SIZE,
+            0.1,
         ),
-        ("corner, perspective", corner, perspective, 0.25),
+        (
+            "bowl, fine, lights less known",
+            bowl,
+            telecentric(),
+            0.5,
+            160,
+            0.1,
+        ),
+        ("corner, perspective", corner, perspective, 0.1, SIZE, 0.25),
     ] {
-        let found = pulls(shape, projection, SEEDS);
+        let found = pulls(shape, projection, &with_lights(light_deg), size, SEEDS);
         eprintln!(
             "{name}: χ² {:.1} of {}, pulls {:.2?}, along x or y {:.3} px",
             found.chi2,
