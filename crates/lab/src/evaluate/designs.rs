@@ -16,8 +16,10 @@ use super::lab::samples::{BELIEVED_SEGMENTS, TRUE_SEGMENTS, directional};
 use super::lab::{Lab, Material};
 use super::shown_angles::figure;
 use crate::brdf::Dictionary;
-use crate::geometry::Shape;
-use crate::geometry::shapes::Form;
+use crate::design::Profile;
+use crate::design::profile::HEIGHTS;
+use crate::geometry::shapes::{Form, of_knots};
+use crate::geometry::{Mesh, MeshError, Shape};
 use crate::inverse::FitOptions;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
@@ -26,7 +28,7 @@ use crate::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading,
 /// Errors of all designs.
 pub static DESIGNS: Experiment = Experiment {
     name: "designs",
-    shows: "environment error from one, two and four images of a bowl under a camera on its axis, of a ridge and a cap before a tilted camera, and of a ball with lamps behind it; concave ones with their twins without indirect light, and the method of Nielsen et al. on the same images",
+    shows: "environment error from one, two and four images of a bowl under a camera on its axis, of a ridge and a cap before a tilted camera, of the two shipped designs, and of a ball with lamps behind it; concave ones with their twins without indirect light, and the method of Nielsen et al. on the same images",
     full: Scale {
         materials: &["bundled"],
         samples_per_pixel: 256,
@@ -54,13 +56,41 @@ pub(super) enum Design {
     Ridge,
     Cap,
     Ball,
+    /// The shipped design to be turned, for four images.
+    Turned,
+    /// The shipped design for sheets, for two images.
+    Sheet,
 }
+
+/// Heights of the shipped designs' profiles before the rim, in units of the radius
+/// (docs/designs).
+const TURNED: [f64; HEIGHTS] = [
+    -0.028_063_309_225_953_514,
+    0.002_565_831_053_082_31,
+    0.056_785_045_080_478_38,
+    0.064_477_615_956_536_57,
+    -0.045_009_534_690_689_74,
+];
+const SHEET: [f64; HEIGHTS] = [
+    -0.111_975_052_598_631_3,
+    -0.045_542_718_836_021_97,
+    0.078_348_909_802_909_04,
+    0.091_926_475_310_806_51,
+    0.022_878_704_264_062_327,
+];
 
 /// Pairs of an angle from the sample's axis and an azimuth, degrees.
 type Lamps = &'static [(f64, f64)];
 
 impl Design {
-    const ALL: [Self; 4] = [Self::Bowl, Self::Ridge, Self::Cap, Self::Ball];
+    const ALL: [Self; 6] = [
+        Self::Bowl,
+        Self::Ridge,
+        Self::Cap,
+        Self::Ball,
+        Self::Turned,
+        Self::Sheet,
+    ];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -68,16 +98,37 @@ impl Design {
             Self::Ridge => "ridge",
             Self::Cap => "cap",
             Self::Ball => "ball",
+            Self::Turned => "turned",
+            Self::Sheet => "sheet",
         }
     }
 
     fn is_concave(self) -> bool {
-        matches!(self, Self::Bowl | Self::Ridge)
+        !matches!(self, Self::Cap | Self::Ball)
+    }
+
+    /// The numbers of images that it is for.
+    fn images(self) -> &'static [usize] {
+        match self {
+            Self::Turned => &[4],
+            Self::Sheet => &[2],
+            _ => &IMAGES,
+        }
     }
 
     /// About 2 mm wide, with `segments` facets around.
-    fn shape(self, segments: u32) -> Shape {
+    fn mesh(self, segments: u32) -> Result<Mesh, MeshError> {
         let radius_mm = 1.0;
+        let (heights, form) = match self {
+            Self::Turned => (TURNED, Form::Revolved),
+            Self::Sheet => (SHEET, Form::Extruded),
+            _ => return self.shape(radius_mm, segments).mesh(),
+        };
+        let knots = Profile::through(&heights).knots;
+        of_knots(&knots, radius_mm, form, 2.0 * radius_mm, segments)
+    }
+
+    fn shape(self, radius_mm: f32, segments: u32) -> Shape {
         match self {
             Self::Bowl => Shape::Bowl {
                 radius_mm,
@@ -94,7 +145,7 @@ impl Design {
                 opening_deg: 60.0,
                 segments,
             },
-            Self::Ball => Shape::Sphere {
+            _ => Shape::Sphere {
                 radius_mm,
                 segments,
             },
@@ -107,6 +158,8 @@ impl Design {
             Self::Bowl | Self::Ball => 0.0,
             Self::Ridge => 54.46,
             Self::Cap => 60.0,
+            Self::Turned => 59.055_905,
+            Self::Sheet => 39.720_971,
         }
     }
 
@@ -125,6 +178,8 @@ impl Design {
             (Self::Cap, _) => &[(75.0, 0.0), (40.0, 20.0), (10.0, 0.0), (60.0, 100.0)],
             (Self::Ball, 1) => &[(100.0, 0.0)],
             (Self::Ball, 2) => &[(75.0, 0.0), (135.0, 137.5)],
+            (Self::Turned, _) => &[(30.0, 60.0), (60.0, 0.0), (30.0, 120.0), (75.0, 0.0)],
+            (Self::Sheet, _) => &[(45.0, 0.0), (30.0, 30.0)],
             (Self::Ball, _) => &[(30.0, 0.0), (90.0, 137.5), (120.0, 275.0), (145.0, 52.5)],
         }
     }
@@ -160,7 +215,7 @@ impl Design {
             .iter()
             .map(|&(polar_deg, azimuth_deg)| directional(polar_deg, azimuth_deg))
             .collect();
-        let mesh = self.shape(segments).mesh()?;
+        let mesh = self.mesh(segments)?;
         let camera = self.camera(resolution_px)?;
         Ok(Scene::new(mesh, Shading::Smooth, camera, lights))
     }
@@ -190,7 +245,8 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for material in &lab.materials {
         for design in Design::ALL {
-            for images in IMAGES.into_iter().filter(|&n| n <= lab.settings.lights) {
+            let counts = design.images().iter().copied();
+            for images in counts.filter(|&n| n <= lab.settings.lights) {
                 for indirect in [true, false] {
                     let is_last = images == lab.settings.lights;
                     let has_twin = design.is_concave() && (is_last || !lab.settings.quick);
@@ -373,7 +429,7 @@ mod tests {
     #[test]
     fn every_lamp_of_every_design_is_seen() {
         for design in Design::ALL {
-            for images in IMAGES {
+            for &images in design.images() {
                 let scene = design.scene(images, 32, 64).unwrap();
                 let seen = crate::transport::Visibility::of(&scene);
                 assert!(
@@ -391,6 +447,35 @@ mod tests {
                     assert!(reach.lit * seen.covered_px > 20.0, "{design:?}: {reach:?}");
                 }
             }
+        }
+    }
+
+    /// The two designs are those whose drawings are shipped.
+    #[test]
+    fn shipped_designs_are_those_of_the_documents() {
+        let turned = include_str!("../../../../docs/designs/turned/design.json");
+        let sheet = include_str!("../../../../docs/designs/sheet/design.json");
+        for (design, heights, text) in [
+            (Design::Turned, TURNED, turned),
+            (Design::Sheet, SHEET, sheet),
+        ] {
+            let written: serde_json::Value = serde_json::from_str(text).unwrap();
+            let knots = &written["profile_height_and_slope"];
+            let known = Profile::through(&heights).knots;
+            for (k, knot) in known.iter().flatten().enumerate() {
+                let stated = knots[k / 2][k % 2].as_f64().unwrap();
+                assert!((stated - knot).abs() < 1e-12, "{design:?}: {k}");
+            }
+            let found = &written["design"];
+            let tilt_deg = found["camera_tilt_deg"].as_f64().unwrap();
+            assert!((tilt_deg - design.tilt_deg()).abs() < 1e-5);
+            let lamps = found["lights"].as_array().unwrap();
+            let lamps: Vec<(f64, f64)> = lamps
+                .iter()
+                .map(|lamp| ["elevation_deg", "azimuth_deg"].map(|key| lamp[key].as_f64().unwrap()))
+                .map(|[elevation_deg, azimuth_deg]| (90.0 - elevation_deg, azimuth_deg))
+                .collect();
+            assert_eq!(lamps, design.lamps(lamps.len()));
         }
     }
 
