@@ -16,7 +16,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: deb demo docs python python-wheel release test test-deb test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
+.PHONY: deb demo docs python python-tests python-wheel release test test-deb test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -92,6 +92,10 @@ python-wheel:
 
 python: python-wheel
 	@[ -x $(RIG) ] || $(MAKE) --no-print-directory build
+	@$(MAKE) --no-print-directory python-tests
+
+# Of the wheel and the program that are there.
+python-tests:
 	@rm -rf $(PYTHON_FRESH) && $(PYTHON) -m venv $(PYTHON_FRESH)
 	@$(PYTHON_FRESH)/bin/pip install --quiet "$$(echo target/wheels/rig_reflectometry-*.whl)[test]"
 	RIG=$(RIG) $(PYTHON_FRESH)/bin/python -m pytest -q python/tests
