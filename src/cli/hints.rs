@@ -136,7 +136,7 @@ fn for_unstopped(_: &crate::console::held_devices::Unstopped) -> String {
 
 #[cfg(feature = "console")]
 fn for_not_stopped(_: &crate::console::held_devices::NotStopped) -> String {
-    "end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
+    "if it moves or is lit, end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
         .to_owned()
 }
 

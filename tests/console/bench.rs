@@ -360,7 +360,7 @@ fn a_stop_says_that_it_reached_nothing() {
     let refused = tries.take(100).find(|(status, _)| *status != 202);
     let (status, answer) = refused.expect("an attempt to connect that ends");
     assert_eq!(status, 409, "{answer}");
-    let fact = "the bench is not connected to this console: its stage was not stopped";
+    let fact = "the bench is not connected to this console, which did not check its stage and lamp";
     assert_eq!(answer["error"], fact);
     let hint = answer["hint"].to_string();
     assert!(

@@ -30,7 +30,7 @@ pub struct Stopping(pub &'static str);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotStopped {
     /// The devices are not open here; another program may use them.
-    #[error("the bench is not connected to this console: its stage was not stopped")]
+    #[error("the bench is not connected to this console, which did not check its stage and lamp")]
     NotConnected,
     /// The devices are open here, and no stage is among them.
     #[error("this console holds no stage: no motion and no lamp was stopped")]

@@ -3,7 +3,7 @@
 import { Refused, act, giveUpQuestions, viewer } from "./api.js";
 import { by, gate, say } from "./dom.js";
 import { short, span } from "./format.js";
-import { announce, complain } from "./notices.js";
+import { announce, capital, complain, tell } from "./notices.js";
 import { link, state, watch } from "./stream.js";
 import { verdictWords } from "./verdict.js";
 
@@ -53,16 +53,33 @@ export async function attempt(address, body) {
 async function stop() {
   const button = by("stop");
   button.classList.add("pressed");
+  setTimeout(() => button.classList.remove("pressed"), 600);
   announce("STOP sent");
   giveUpQuestions();
   // Both, always: what this page last heard of a capture may be old.
   const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
-  const reached = new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean));
-  announce(reached.size > 0 ? `STOP reached ${[...reached].join(" and ")}` : "STOP reached nothing");
-  const failed = outcomes.find((outcome) => outcome.status === "rejected");
-  if (failed?.reason.status === 0) complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
-  else if (failed) complain(failed.reason);
-  setTimeout(() => button.classList.remove("pressed"), 600);
+  const failed = outcomes.filter((outcome) => outcome.status === "rejected").map((outcome) => outcome.reason);
+  if (failed.some((reason) => reason.status === 0)) return complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
+  const reached = [...new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean))].join(" and ");
+  const unchecked = failed.map((reason) => `${capital(reason.message)}${reason.hint ? ` – ${reason.hint}` : ""}.`);
+  if (!reached) return tell(["Nothing was running.", ...unchecked].join(" "));
+  tell([`STOP reached ${reached} …`, ...unchecked].join(" "));
+  // What has the devices switches the lamp off before it ends, or fails.
+  const hasDevices = outcomes[1].status === "fulfilled";
+  await stopped();
+  const { error, hint } = state.bench?.error ?? {};
+  const wrong = error ?? (state.job?.state === "failed" && hasDevices && reached !== "the stage" ? "the program that had the devices failed: look whether the lamp is on" : null);
+  if (wrong) return complain(new Refused(wrong, hint ?? null, 409));
+  tell([`STOP ended ${reached}${hasDevices ? "; the lamp is off" : ""}.`, ...unchecked].join(" "));
+}
+
+/** Waits until no job runs and the stage stands, or a quarter of a minute. */
+async function stopped() {
+  for (const end = performance.now() + 15000; performance.now() < end; ) {
+    // What this page last heard is older than the answer.
+    await new Promise((then) => setTimeout(then, 250));
+    if (!working() && state.bench?.busy !== "stopping") return;
+  }
 }
 
 let since = null;
