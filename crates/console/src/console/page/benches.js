@@ -62,7 +62,7 @@ export function benchesPart() {
   return { element, load, known, edit: editor.open };
 }
 
-/** The console works with this bench from now on; every page is loaded anew when it does. */
+/** The console works with this bench from now on; every page then shows it where it is. */
 export async function take(rig) {
   if (await attempt("api/rigs/use", { rig })) announce("The bench is being changed");
 }

@@ -82,14 +82,9 @@ async function stopped() {
   }
 }
 
-let since = null;
-
 function showRig() {
   const rig = state.console?.rig;
   if (!rig) return;
-  // Another console answers at this address, or another bench: the page begins anew.
-  since ??= state.console.since;
-  if (since !== state.console.since) return location.reload();
   say(by("rig-name"), rig.name);
   by("simulated").hidden = !rig.simulated || rig.name === "simulated";
   showTitle();
