@@ -81,8 +81,8 @@ function begun(guide, rehearsed) {
   return { guide, values: { ...values, ...before.values }, sessions: before.sessions ?? [], lights: before.lights ?? (rehearsed ? guide.lights_rehearsed : guide.lights), ...before.begun };
 }
 
-function keep({ guide, values, sessions, lights, command = null, old = null, then = false }) {
-  sessionStorage.setItem(kept(guide.kind), JSON.stringify({ values, sessions, lights, begun: { command, old, then } }));
+function keep({ guide, values, sessions, lights, command = null, old = null, then = false, stopped = null }) {
+  sessionStorage.setItem(kept(guide.kind), JSON.stringify({ values, sessions, lights, begun: { command, old, then, stopped } }));
 }
 
 /** Why nothing can be begun, or null. */
@@ -174,9 +174,10 @@ function measurePart(current) {
   const there = h("details", {}, h("summary", {}, "Use a session that is there"), h("div", { class: "row" }, field("Session", others), add));
   const view = h("button", { type: "button", id: "guide-view" }, "Take a view");
   const go = h("button", { type: "submit", class: "primary", id: "guide-start" });
+  const resume = h("button", { type: "button", id: "guide-resume", onclick: () => begin(current(), "api/capture/resume", { session: current().stopped, fit: false }, current().then) }, "Resume it");
   const why = h("p", { class: "why" });
   const error = h("p", { class: "error", role: "alert" });
-  const form = h("form", { class: "stack-form" }, entries, lightsField, views, h("div", { class: "row" }, view, go), there, why, error);
+  const form = h("form", { class: "stack-form" }, entries, lightsField, views, h("div", { class: "row" }, view, go, resume), there, why, error);
   const element = panel("2. Measure", {}, form);
 
   form.addEventListener("input", () => {
@@ -221,7 +222,7 @@ function measurePart(current) {
     const old = state.job?.began ?? null;
     try {
       const { command } = await act(address, body);
-      Object.assign(run, { command, old, then });
+      Object.assign(run, { command, old, then, stopped: null });
       keep(run);
     } catch (failure) {
       say(error, `${capital(failure.message)}${failure.hint ? ` – ${failure.hint}` : ""}`);
@@ -234,7 +235,11 @@ function measurePart(current) {
     const { job, capture: last } = state;
     if (job?.kind !== "capture" || !run.command || job.command !== run.command || job.began === run.old) return;
     run.command = null;
-    if (last?.state !== "complete") return say(error, `The capture was ${last?.state ?? "stopped"}.${last?.error ? ` ${capital(last.error)}.` : ""} Its session can be resumed.`);
+    if (last?.state !== "complete") {
+      run.stopped = last?.session ? sessionName(last.session) : null;
+      keep(run);
+      return say(error, `${job.state === "interrupted" ? "The capture was stopped, and the lamp is off." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : ""}`);
+    }
     run.sessions = run.guide.several ? [...run.sessions, sessionName(last.session)] : [sessionName(last.session)];
     keep(run);
     if (run.then) measure(run);
@@ -253,6 +258,8 @@ function measurePart(current) {
     element.hidden = Boolean(guide.lacks);
     const missing = guide.values.find((one) => one.required && !run.values[one.key]?.trim());
     const reason = busy() ?? (run.trial === null ? "The records of this bench are built into the program: use the bench of the rehearsals, or a rig file of your own." : null);
+    resume.hidden = !run.stopped;
+    gate(resume, reason);
     gate(view, reason);
     gate(go, reason ?? (missing ? `State first: ${missing.label}.` : null));
     say(why, reason ?? "");
@@ -268,7 +275,7 @@ function entry(one, value) {
 }
 
 /** What the person at the bench is asked to do. */
-const HANDS = { cover: "Cover the lens", uncover: "Take the cover off the lens", "light-on": "Switch the even light on, and leave the room as it is", "light-off": "Switch the even light off, and leave the room as it is" };
+const HANDS = { cover: "Cover the lens", uncover: "Take the cover off the lens", "light-on": "Switch the even light on, and leave the room as it is", "light-off": "Switch the even light off, and leave the room as it is", "lamp-on": "Switch the lamp on", "lamp-off": "Switch the lamp off", place: "Hold the lamp above the target" };
 
 /** The job of this guide while it runs. */
 function progressPart() {
