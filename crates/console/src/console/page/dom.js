@@ -53,6 +53,13 @@ export function gate(control, reason) {
   else control.removeAttribute("title");
 }
 
+/** Whoever stood on a control that is gone or off stands here, on what follows. */
+export function standOn(element) {
+  if (document.activeElement !== document.body) return;
+  element.tabIndex = Math.min(element.tabIndex, 0);
+  element.focus();
+}
+
 /** A panel with a heading. */
 export function panel(title, about, ...children) {
   return h("section", { ...about, class: `panel ${about.class ?? ""}` }, h("h3", {}, title), ...children);

@@ -2,7 +2,7 @@
 
 import { act, ask, askWith } from "./api.js";
 import { take } from "./benches.js";
-import { by, field, gate, h, panel, redraw, say } from "./dom.js";
+import { by, field, gate, h, panel, redraw, say, standOn } from "./dom.js";
 import { targetDrawing } from "./drawings.js";
 import { automatic } from "./exposing.js";
 import { attempt, blocked, working } from "./header.js";
@@ -26,6 +26,7 @@ export function guidePart() {
   const element = h("div", { class: "stack" }, head, place.element, measure.element, progress.element, result.element);
   let run = null;
   let shown = null;
+  let looks = 0;
 
   async function load() {
     const kind = shown;
@@ -47,7 +48,9 @@ export function guidePart() {
 
   function show() {
     if (!run || shown === null) return;
-    redraw(head, run.guide.kind, () => [h("p", {}, h("a", { href: "#calibrate" }, "← All calibrations")), h("h3", { class: "headline" }, run.guide.title)]);
+    const title = h("h3", { class: "headline" }, run.guide.title);
+    redraw(head, run.guide.kind, () => [h("p", {}, h("a", { href: "#calibrate" }, "← All calibrations")), title]);
+    if (title.isConnected && looks > 1) standOn(title);
     for (const part of [place, measure, progress, result]) part.show(run);
   }
 
@@ -66,6 +69,7 @@ export function guidePart() {
   return {
     element,
     look(kind) {
+      looks += 1;
       if (kind !== shown) run = null;
       shown = kind;
       live.look(kind !== null);
@@ -96,19 +100,20 @@ function isLow() {
 }
 
 /** How often a target is looked for, until it is placed, and the time in between. */
-const LOOKS = 15;
+const LOOKS = 90;
 const LOOK_MS = 2000;
 
 /** How the target is placed, and whether it is. */
 function placePart(live, current) {
   const steps = h("div", { class: "stack" });
-  const put = h("button", { type: "button", class: "primary", id: "put-target", onclick: () => take(current().guide.lacks) }, "Put it before the simulated camera");
+  const put = h("button", { type: "button", class: "primary", id: "put-target", onclick: () => (pressed = true) && take(current().guide.lacks) }, "Put it before the simulated camera");
   const simulated = h("p", { class: "fine" }, "The simulated bench puts it before its camera by itself.");
   const connect = h("button", { type: "button", id: "guide-light" });
   const check = h("button", { type: "button", id: "check-target" }, "Is it placed?");
   const seen = h("p", { role: "status", id: "target-seen" });
   const failed = h("p", { class: "error", role: "alert" });
   let again = null;
+  let pressed = false;
   const look = h("div", { class: "stack" }, live.picture, h("div", { class: "row" }, connect, check), failed, seen);
   const element = h("div", { class: "two even" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
   connect.addEventListener("click", () => {
@@ -159,6 +164,11 @@ function placePart(live, current) {
     gate(put, busy());
     gate(connect, idle);
     gate(check, idle ?? (bench?.connected ? null : "Show the live picture first."));
+    // Whoever pressed the button that is gone stands on the next one.
+    if (pressed && put.hidden && !connect.disabled) {
+      pressed = false;
+      standOn(connect);
+    }
   }
   return { element, show };
 }
@@ -238,7 +248,7 @@ function measurePart(current) {
     if (last?.state !== "complete") {
       run.stopped = last?.session ? sessionName(last.session) : null;
       keep(run);
-      return say(error, `${job.state === "interrupted" ? "The capture was stopped, and the lamp is off." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : ""}`);
+      return say(error, `${job.state === "interrupted" ? "The capture was stopped, and the lamp is off." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : "“Capture and measure” begins it anew."}`);
     }
     run.sessions = run.guide.several ? [...run.sessions, sessionName(last.session)] : [sessionName(last.session)];
     keep(run);
@@ -323,6 +333,7 @@ function resultPart(reload) {
     sessionStorage.removeItem(kept(run.guide.kind));
     announce("The record is in force");
     location.hash = "#calibrate";
+    by("calibrate-title").focus();
   }));
   repeat.addEventListener("click", end("api/guides/discard", () => {
     // Views may be left out one by one.
@@ -336,8 +347,10 @@ function resultPart(reload) {
     const { job } = state;
     const mine = job?.kind === "calibration" && job.command?.startsWith(`rig calibrate ${run.guide.kind} `) && !working();
     const records = run.trial?.of === run.guide.kind ? run.trial.records : [];
+    const was = element.hidden;
     element.hidden = working() || !(mine || records.length);
     if (element.hidden) return;
+    if (was) standOn(element.querySelector("h3"));
     say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}. “${by("guide-start").innerText}” begins it anew.`);
     const lines = mine ? (job.log ?? []).filter((line) => !/^(figure|EMVA 1288 figures): /.test(line)).map((line) => line.replace("/.trial/", "/")) : [];
     redraw(said, lines, () => lines.map((line) => h("li", { class: /^(warning|error|hint)/.test(line) ? "warn" : null }, line)));

@@ -70,7 +70,8 @@ async function stop() {
   const { error, hint } = state.bench?.error ?? {};
   const wrong = error ?? (state.job?.state === "failed" && hasDevices && reached !== "the stage" ? "the program that had the devices failed: look whether the lamp is on" : null);
   if (wrong) return complain(new Refused(wrong, hint ?? null, 409));
-  tell([`STOP ended ${reached}${hasDevices ? "; the lamp is off" : ""}.`, ...unchecked].join(" "));
+  const is = reached === "the stage" ? "STOP: the stage stands" : `STOP ended ${reached}`;
+  tell([`${is}${hasDevices ? ", the lamp is off" : ""}.`, ...unchecked].join(" "));
 }
 
 /** Waits until no job runs and the stage stands, or a quarter of a minute. */
