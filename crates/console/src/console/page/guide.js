@@ -227,6 +227,8 @@ function measurePart(current) {
   }
   async function begin(run, address, body, then = false) {
     say(error, "");
+    // What follows is not here: the result.
+    document.activeElement.blur();
     gate(go, "Starting …");
     gate(view, "Starting …");
     const old = state.job?.began ?? null;
