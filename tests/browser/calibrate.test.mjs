@@ -63,7 +63,7 @@ test("the sensor and the lens are calibrated by the page alone", async () => {
   await stopped("STOP: the stage stands, the lamp is off.");
   await press(page, "#guide-start");
   await until(page, "the target is being captured", () => document.querySelector("#guide-progress progress").value > 0 && document.querySelector("#guide-progress").checkVisibility());
-  await stopped("STOP ended a capture, the lamp is off.");
+  await stopped("STOP ended a capture, its lamp was switched off.");
   await until(page, "it says how to go on", () => document.querySelector("#view-calibrate .stack-form .error").innerText.includes("“Resume it” goes on where it was."));
   assert.deepEqual(await violations(page), []);
   await press(page, "#guide-resume");

@@ -50,7 +50,8 @@ pub(super) fn stop(shared: &Arc<Shared>, advisor: &Advisor) {
     }
     shared.change(|state| {
         if state.connected {
-            state.busy = Some(Busy::Stopping);
+            // What is wrong from now on is of this stop.
+            (state.busy, state.error) = (Some(Busy::Stopping), None);
         }
     });
     let (of, advisor) = (Arc::clone(shared), advisor.clone());

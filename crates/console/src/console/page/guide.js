@@ -250,7 +250,7 @@ function measurePart(current) {
     if (last?.state !== "complete") {
       run.stopped = last?.session ? sessionName(last.session) : null;
       keep(run);
-      return say(error, `${job.state === "interrupted" ? "The capture was stopped, and the lamp is off." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : "“Capture and measure” begins it anew."}`);
+      return say(error, `${job.state === "interrupted" ? "The capture was stopped." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : "“Capture and measure” begins it anew."}`);
     }
     run.sessions = run.guide.several ? [...run.sessions, sessionName(last.session)] : [sessionName(last.session)];
     keep(run);

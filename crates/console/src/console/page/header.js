@@ -58,29 +58,31 @@ async function stop() {
   giveUpQuestions();
   // Both, always: what this page last heard of a capture may be old.
   const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
-  const failed = outcomes.filter((outcome) => outcome.status === "rejected").map((outcome) => outcome.reason);
-  if (failed.some((reason) => reason.status === 0)) return complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
+  const refused = outcomes.filter((outcome) => outcome.status === "rejected").map((outcome) => outcome.reason);
+  if (refused.some((reason) => reason.status === 0)) return complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
   const reached = [...new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean))].join(" and ");
-  const unchecked = failed.map((reason) => `${capital(reason.message)}${reason.hint ? ` – ${reason.hint}` : ""}.`);
+  const unchecked = refused.map((reason) => `${capital(reason.message)}${reason.hint ? ` – ${reason.hint}` : ""}.`);
   if (!reached) return tell(["Nothing was running.", ...unchecked].join(" "));
   tell([`STOP reached ${reached} …`, ...unchecked].join(" "));
-  // What has the devices switches the lamp off before it ends, or fails.
+  // A program that has the devices switches its lamp off before it ends, or fails.
+  const ofStage = /the stage|the bench/.test(reached);
   const hasDevices = outcomes[1].status === "fulfilled";
-  await stopped();
-  const { error, hint } = state.bench?.error ?? {};
-  const wrong = error ?? (state.job?.state === "failed" && hasDevices && reached !== "the stage" ? "the program that had the devices failed: look whether the lamp is on" : null);
-  if (wrong) return complain(new Refused(wrong, hint ?? null, 409));
-  const is = reached === "the stage" ? "STOP: the stage stands" : `STOP ended ${reached}`;
-  tell([`${is}${hasDevices ? ", the lamp is off" : ""}.`, ...unchecked].join(" "));
+  const { error, hint } = (await stopped()) ? ((ofStage && state.bench?.error) || {}) : { error: `STOP has not ended ${reached} yet`, hint: "press it again, or the emergency stop" };
+  const failed = hasDevices && !ofStage && state.job?.state === "failed" ? "the program that had the devices failed: look whether the lamp is on" : null;
+  if (error ?? failed) return complain(new Refused(error ?? failed, hint ?? null, 409));
+  const own = state.bench?.stage?.lamp_word === "reported" ? ", the lamp is off" : ", lamp off was sent, not verified: look at it";
+  const is = ofStage ? `STOP: the stage stands${own}.` : `STOP ended ${reached}${hasDevices ? ", its lamp was switched off" : ""}.`;
+  tell([is, ...unchecked].join(" "));
 }
 
-/** Waits until no job runs and the stage stands, or a quarter of a minute. */
+/** Waits until no job runs and the stage stands, or a quarter of a minute; whether they do. */
 async function stopped() {
   for (const end = performance.now() + 15000; performance.now() < end; ) {
     // What this page last heard is older than the answer.
     await new Promise((then) => setTimeout(then, 250));
-    if (!working() && state.bench?.busy !== "stopping") return;
+    if (!working() && state.bench?.busy !== "stopping") return true;
   }
+  return false;
 }
 
 function showRig() {
