@@ -32,7 +32,6 @@ use workflow::for_workflow;
 
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
-use crate::calibration::procedure::ProcedureError;
 use crate::cells::AverageError;
 use crate::cluster::LineBreak;
 use crate::config::BuildError;
@@ -113,7 +112,6 @@ const ADVICE: &[Advice] = &[
     #[cfg(feature = "experiments")]
     |error| of_type(error, for_evaluate),
     |error| of_type(error, for_export),
-    |error| of_type(error, for_procedure),
     |error| of_type(error, for_exr),
     |error| of_type(error, for_mesh),
     |error| of_type(error, for_line_break),
@@ -136,7 +134,7 @@ fn for_unstopped(_: &crate::console::held_devices::Unstopped) -> String {
 
 #[cfg(feature = "console")]
 fn for_not_stopped(_: &crate::console::held_devices::NotStopped) -> String {
-    "end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
+    "if it moves or is lit, end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
         .to_owned()
 }
 
@@ -253,13 +251,6 @@ fn for_export(error: &ExportError) -> Option<String> {
         ),
         #[cfg(feature = "figures")]
         ExportError::Picture(_) => None,
-    }
-}
-
-fn for_procedure(error: &ProcedureError) -> Option<String> {
-    match error {
-        ProcedureError::Device(error) => Some(for_device(error)),
-        _ => None,
     }
 }
 

@@ -39,8 +39,9 @@ test("the sensor and the lens are calibrated by the page alone", async () => {
   await until(page, "the list has it", () => [...document.querySelectorAll(".calibrations li")].some((one) => one.innerText.startsWith("Sensor ok")));
   assert.equal((await records("sensor")).length, 1);
 
-  // By a target.
+  // By a target. The page stays where it is when the simulated bench gets it.
   await page.evaluate(() => (location.hash = "#calibrate/camera"));
+  await page.evaluate(() => (globalThis.stays = true));
   await press(page, "#put-target");
   for (const step of ["Show the live picture", "Home the stage", "Aim the light", "Lamp on"]) {
     await until(page, step, (wanted) => document.querySelector("#guide-light").innerText === wanted && !document.querySelector("#guide-light").disabled, step);
@@ -52,10 +53,25 @@ test("the sensor and the lens are calibrated by the page alone", async () => {
     return seen.startsWith("Yes");
   });
   assert.match(await textOf(page, "#target-seen"), /the whole board, 63 corners/);
+
+  // STOP under the page's lamp, then under that of the capture, which goes on where it was.
+  const stopped = async (text) => {
+    await page.click("#stop");
+    await until(page, `STOP says ${text}`, (wanted) => document.querySelector(".notice.answer")?.innerText.includes(wanted), text);
+    await page.click(".notice.answer button");
+  };
+  await stopped("STOP: the stage stands, the lamp is off.");
   await press(page, "#guide-start");
-  await until(page, "the corners are counted", () => /1 views, 63 corners/.test(document.querySelector("#guide-said").innerText));
+  await until(page, "the target is being captured", () => document.querySelector("#guide-progress progress").value > 0 && document.querySelector("#guide-progress").checkVisibility());
+  await stopped("STOP ended a capture, its lamp was switched off.");
+  await until(page, "it says how to go on", () => document.querySelector("#view-calibrate .stack-form .error").innerText.includes("“Resume it” goes on where it was."));
+  assert.deepEqual(await violations(page), []);
+  await press(page, "#guide-resume");
+  await until(page, "the corners are counted", () => /views: 1, corners: 63/.test(document.querySelector("#guide-said").innerText));
   await press(page, "#guide-accept");
   await until(page, "the list is shown", () => location.hash === "#calibrate");
+  assert.ok(await page.evaluate(() => globalThis.stays), "the page was loaded anew");
+  await stopped("Nothing was running. The bench is not connected to this console");
   assert.equal((await records("camera")).length, 1);
   await access(path.join(place.folder, "calibration/rehearsal/plots", (await records("camera"))[0].replace("toml", "png")));
   assert.deepEqual(page.complaints, []);

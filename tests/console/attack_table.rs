@@ -152,6 +152,14 @@ pub fn paths_and_methods() -> Vec<Row> {
         details of a linked session | /api/sessions/link
         details of elsewhere | /api/sessions/..%2Felsewhere
         a comparison of a linked session | /api/compare?fits=link:0/link:1
+        a comparison of nothing | /api/compare
+        a comparison of one | /api/compare?fits=real:0
+        a comparison of fits that are not there | /api/compare?fits=real:0/real:99999999999
+        a comparison of what is no fit | /api/compare?fits=real:-1/real:..
+        a comparison of too many | /api/compare?fits=real:0/real:1/real:2/real:3/real:4/real:5
+        a comparison with NUL | /api/compare?fits=real%00:0/real:1
+        no rig file | /api/rigs/text
+        a figure of a calibration that nobody measured | /api/guides/figure.png
         a comparison of elsewhere | /api/compare?fits=..%2Felsewhere:0/real:0
         a file that is not served | /page/index.html
         the text of a rig file elsewhere | /api/rigs/text?rig=..%2Farm.toml
@@ -336,6 +344,39 @@ pub fn bodies() -> Vec<Row> {
         a bench that is an option | /api/rigs/use | {"rig": "--help"} | 404
         a rig file elsewhere is saved | /api/rigs/save | {"rig": "../x.toml", "text": "", "sum": ""} | 404
         a sample of the queue that is a path | /api/queue/add | {"text": "../../pwned"} | 422
+        a sample of the queue that is nothing | /api/queue/add | {"text": " "} | 422
+        a table of the queue with NUL | /api/queue/add | {"text": "name\na\u0000b"} | 422
+        a table of the queue that has no end | /api/queue/add | {"text": "name,comment\na,\"b"} | 422
+        repeats without end | /api/queue/add | {"text": "name,repeats\na,99999999999999999999"} | 422
+        a sample that no queue has is left out | /api/queue/skip | {"sample": "../../pwned"} | 404 409 422
+        a sample that no queue has is brought back | /api/queue/back | {"sample": "a"} | 404 409 422
+        nothing to repeat | /api/queue/again | {} | 409
+        an error for the queue that is none | /api/queue/next | {"lights": "1", "until": "NaN"} | 422
+        an error for the queue that is an option | /api/queue/next | {"lights": "1", "until": "--out=pwned"} | 422
+        lights at most without end | /api/queue/next | {"lights": "1", "until": "5", "max_lights": "99999999999"} | 422
+        a lamp that is none | /api/bench/lamp | {"channel": 256} | 400
+        a lamp that is another's | /api/bench/lamp | {"channel": 0, "out": "pwned"} | 400
+        an exposure that is no time | /api/bench/exposure | {"exposure_ms": 1e999, "gain": 1} | 400
+        a move to nowhere | /api/bench/move | {"azimuth_deg": null, "elevation_deg": 1} | 400
+        a rig file's text that is none | /api/rigs/save | {"rig": "secret.txt", "text": "x", "sum": ""} | 404
+        a bench that runs a program | /api/setup | {"answers": {"camera": "command", "camera_address": "touch pwned"}} | 422
+        a bench of a name elsewhere | /api/setup | {"answers": {"name": "../pwned"}} | 409 422
+        a fit of a session elsewhere | /api/sessions/..%2Felsewhere/fit | {} | 400 404
+        a fit of a session that is a link | /api/sessions/link/fit | {} | 404
+        a fit of a dictionary elsewhere | /api/sessions/real/fit | {"dictionary": "/etc/passwd"} | 404 422
+        a fit with an option of the program | /api/sessions/real/fit | {"out": "/tmp/pwned"} | 400 404
+        an export of a session that is a link | /api/sessions/link/export | {"fit": "0", "format": "merl"} | 404
+        an export of a fit elsewhere | /api/sessions/real/export | {"fit": "../0", "format": "merl"} | 400 404
+        an export of a fit beyond all | /api/sessions/real/export | {"fit": "99999999999", "format": "merl"} | 400 404
+        an export of a fit that is not there | /api/sessions/real/export | {"fit": "0", "format": "merl"} | 404
+        an export of no format | /api/sessions/real/export | {"fit": "0", "format": "--help"} | 400 404
+        an export that names its file | /api/sessions/real/export | {"fit": "0", "format": "merl", "out": "pwned"} | 400
+        a certificate of no fit | /api/sessions/real/export | {"fit": "0", "format": "certificate"} | 404
+        a target that is none is looked for | /api/guides/check | {"kind": "../x"} | 404
+        a target in no picture | /api/guides/check | {"kind": "flat"} | 409
+        parts of the image without end | /api/guides/check | {"kind": "white", "values": {"reflectance": "0.98", "reflectance-std": "0", "region": "0,0,1,99999999999999999999999"}} | 422
+        a capture for a calibration that takes none | /api/guides/capture | {"kind": "sensor", "lights": "1"} | 409
+        nothing to discard | /api/guides/discard | {} | 409
         a calibration that is none | /api/guides/measure | {"kind": "status", "values": {"out": "/tmp"}} | 404
         an option that a calibration does not offer | /api/guides/measure | {"kind": "sensor", "values": {"out": "/tmp/pwned"}} | 422
         a calibration of a session elsewhere | /api/guides/measure | {"kind": "pose", "sessions": ["../elsewhere"]} | 404
@@ -351,3 +392,38 @@ pub fn bodies() -> Vec<Row> {
     ));
     rows
 }
+
+/// What acts.
+pub const ACTIONS: &[&str] = &[
+    "bench/connect",
+    "bench/disconnect",
+    "bench/exposure",
+    "bench/home",
+    "bench/lamp",
+    "bench/move",
+    "capture/answer",
+    "capture/continue",
+    "capture/finish",
+    "capture/pause",
+    "capture/resume",
+    "capture/start",
+    "control/ping",
+    "control/release",
+    "control/take",
+    "guides/accept",
+    "guides/capture",
+    "guides/check",
+    "guides/discard",
+    "guides/measure",
+    "plan",
+    "queue/add",
+    "queue/again",
+    "queue/back",
+    "queue/next",
+    "queue/skip",
+    "rigs/save",
+    "rigs/use",
+    "sessions/real/export",
+    "sessions/real/fit",
+    "setup",
+];

@@ -10,7 +10,9 @@ use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use crate::attack_table::{ACTION, Row, bodies, forms, paths_and_methods, strangers, with};
+use crate::attack_table::{
+    ACTION, ACTIONS, Row, bodies, forms, paths_and_methods, strangers, with,
+};
 use crate::support::{Answer, Console};
 use rustix::process::Signal;
 use serde_json::json;
@@ -70,6 +72,13 @@ fn every_attack_is_refused_and_the_page_is_there_afterwards() {
             "{name}: {text}"
         );
         assert!(!answer.head.to_lowercase().contains("x-injected"), "{name}");
+        // What the page asks for in vain tells why.
+        if request.windows(9).any(|part| part == b"/{T}/api/")
+            && [409, 422].contains(&answer.status)
+        {
+            let fact = answer.json()["error"].as_str().map(str::len);
+            assert!(fact.is_some_and(|length| length > 10), "{name}: {text}");
+        }
         // One answer, whatever came after the request.
         let answers = text.matches("HTTP/1.1 ").count();
         assert!(
@@ -92,6 +101,29 @@ fn every_attack_is_refused_and_the_page_is_there_afterwards() {
     assert!(log.contains("Ctrl-C ends the console"), "{log}");
     assert!(!log.contains(&console.token[..20]), "{log}");
     assert!(!log.contains("internal error"), "{log}");
+}
+
+/// With a sentence that says so.
+#[test]
+fn every_action_refuses_what_is_no_form() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let deep = "[".repeat(20_000);
+    for action in ACTIONS {
+        for body in ["", "x", "{", "{}{}", "\u{0}", "{\"a\": 1e999}", &deep] {
+            let (_, request, _) = with(action, &format!("/api/{action}"), ACTION, body, &[400]);
+            let request = console.filled(std::str::from_utf8(&request).unwrap());
+            let answer = console.exchange(request.as_bytes());
+            assert_eq!(answer.status, 400, "{action} {body:.20}: {answer:?}");
+            let fact = answer.json()["error"].as_str().map(str::len);
+            assert!(
+                fact.is_some_and(|length| length > 10),
+                "{action}: {answer:?}"
+            );
+        }
+        assert_page_is_there(&console, action);
+    }
+    assert!(!console.stderr().contains("internal error"));
 }
 
 #[test]

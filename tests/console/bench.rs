@@ -337,6 +337,33 @@ fn a_stop_ends_a_motion_at_once() {
     assert_eq!(state["stage"]["position"], Value::Null);
 }
 
+/// The page's bench has homed the stage; the program of the calibration lights the lamp.
+#[test]
+fn a_stop_ends_a_calibration_under_the_lamp() {
+    let port = Port::new(Clock::real_time());
+    let console = port.console();
+    let mut events = connect(&console);
+    accepted(&console, "/api/bench/home", &json!({}));
+    done(&mut events, |b| !b["stage"]["position"].is_null());
+    let form = json!({"kind": "lamp", "values": {"minutes": "2"}});
+    accepted(&console, "/api/guides/measure", &form);
+    wait_until("lit", || {
+        let job = console.events("x").wait_for("job", |_| true);
+        assert_eq!(job["state"], "running", "{job}");
+        port.is_lit()
+    });
+    let answer = console.post("other", "/api/bench/stop", &json!({}));
+    assert_eq!(answer.json(), json!({"stopping": "a calibration"}));
+    let took = wait_until("dark", || !port.is_lit());
+    assert!(took < Duration::from_secs(2), "{took:?}");
+    events.wait_for("job", |job| job["state"] == "interrupted");
+    let mut events = console.events("x");
+    events.wait_for("bench", |bench| bench["lent_to"].is_null());
+    assert!(!port.is_lit());
+    // The bench is the page's again.
+    connect(&console);
+}
+
 /// What another program holds, a STOP does not reach, and says so.
 #[test]
 fn a_stop_says_that_it_reached_nothing() {
@@ -360,7 +387,7 @@ fn a_stop_says_that_it_reached_nothing() {
     let refused = tries.take(100).find(|(status, _)| *status != 202);
     let (status, answer) = refused.expect("an attempt to connect that ends");
     assert_eq!(status, 409, "{answer}");
-    let fact = "the bench is not connected to this console: its stage was not stopped";
+    let fact = "the bench is not connected to this console, which did not check its stage and lamp";
     assert_eq!(answer["error"], fact);
     let hint = answer["hint"].to_string();
     assert!(

@@ -105,7 +105,7 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
     let kept = noted(measured.keep(&place)?, context);
     let [used, left_out] = measured.values.corners;
     context.note(format_args!(
-        "{} views, {used} corners ({left_out} left out) within {:.3} pixels; they cover {:.0}% of \
+        "views: {}, corners: {used} ({left_out} left out), within {:.3} pixels; they cover {:.0}% of \
          the image",
         measured.fit.views,
         measured.values.residual_px,

@@ -1,13 +1,19 @@
 //! Advice on calibrations that made no record.
 
+use super::for_device;
 use crate::calibrating::CalibratingError;
 use crate::calibration::camera::CameraError;
+use crate::calibration::lamp_watch::WatchError;
+use crate::calibration::procedure::ProcedureError;
 
 pub(super) fn for_calibrating(error: &CalibratingError) -> Option<String> {
     use CalibratingError::*;
     let hint = match error {
         Folder { .. } => {
             "records are kept there; make the folder writable, or name another with --out"
+        }
+        Lamp(WatchError::Device(error)) | Procedure(ProcedureError::Device(error)) => {
+            return Some(for_device(error));
         }
         Procedure(_) | Sensor(_) => {
             "point the camera at a steady, uniform light that saturates it within two seconds but not in its shortest exposure; nothing was kept"
@@ -17,10 +23,8 @@ pub(super) fn for_calibrating(error: &CalibratingError) -> Option<String> {
             "let the lamp cool, put a white card where it is lit evenly, cover other light, and touch nothing; nothing was kept"
         }
         NoChannel { channels, .. } => {
-            return Some(format!(
-                "its channels are 0 to {}",
-                channels.saturating_sub(1)
-            ));
+            let last = channels.saturating_sub(1);
+            return Some(format!("its channels are 0 to {last}"));
         }
         Response(_) => {
             "photograph a still scene of many brightnesses with manual exposure, at least three exposures a factor of two to four apart, from nearly black to nearly white"

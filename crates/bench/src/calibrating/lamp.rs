@@ -5,9 +5,11 @@ use std::time::Duration;
 use super::{Attendant, CalibratingError, Kept, Place};
 use crate::calibration::lamp::LampFit;
 use crate::calibration::lamp_watch::{Watch, WatchOptions};
-use crate::capture::open::{OpenOptions, open_devices};
+use crate::capture::open::{OpenError, OpenOptions, open_devices};
+use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
 use crate::device::{LampChannel, LampState};
+use crate::units::StageAngles;
 
 /// A lamp that is switched on and watched.
 pub struct LampRequest<'a> {
@@ -49,7 +51,8 @@ impl LampRequest<'_> {
         }
     }
 
-    /// Switches the lamp on and watches it; `open` is how real devices are opened.
+    /// Homes the stage, aims it steeply, switches the lamp on and watches it; `open` is how real
+    /// devices are opened.
     ///
     /// # Errors
     /// A device fails, or the scene or the lamp does not make a calibration.
@@ -79,6 +82,15 @@ impl LampRequest<'_> {
             None => {
                 let devices = open_devices(self.rig, open)?;
                 let (mut stage, mut camera) = (devices.stage, devices.camera);
+                // A stage moves and lights nothing before it knows where it is. A steep light falls
+                // on the whole card.
+                stage.home().map_err(OpenError::from)?;
+                let free = StageReach::of_rig(self.rig).map_err(OpenError::from)?;
+                let steep =
+                    |a: &StageAngles, b: &StageAngles| a.elevation_deg.total_cmp(&b.elevation_deg);
+                if let Some(steepest) = free.candidates().into_iter().max_by(steep) {
+                    stage.move_to(steepest).map_err(OpenError::from)?;
+                }
                 let watchdog = stage.watchdog();
                 let mut switch = |on: bool| {
                     let state = match on {

@@ -163,8 +163,8 @@ pub const GUIDES: &[Guide] = &[
         kind: "lamp",
         title: "Lamp",
         place: &[
-            "Let the lamp cool down. Put a white card where it lights it evenly, and cover all other light.",
-            "Touch nothing while its level is followed.",
+            "Let the lamp cool down. Put a white card in the sample’s place, and cover all other light.",
+            "The stage homes and aims the lamp steeply. Touch nothing while its level is followed.",
         ],
         frames: Frames::Own,
         values: &[number(

@@ -30,7 +30,7 @@ pub struct Stopping(pub &'static str);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotStopped {
     /// The devices are not open here; another program may use them.
-    #[error("the bench is not connected to this console: its stage was not stopped")]
+    #[error("the bench is not connected to this console, which did not check its stage and lamp")]
     NotConnected,
     /// The devices are open here, and no stage is among them.
     #[error("this console holds no stage: no motion and no lamp was stopped")]
@@ -50,7 +50,8 @@ pub(super) fn stop(shared: &Arc<Shared>, advisor: &Advisor) {
     }
     shared.change(|state| {
         if state.connected {
-            state.busy = Some(Busy::Stopping);
+            // What is wrong from now on is of this stop.
+            (state.busy, state.error) = (Some(Busy::Stopping), None);
         }
     });
     let (of, advisor) = (Arc::clone(shared), advisor.clone());

@@ -56,6 +56,9 @@ pub struct CaptureState {
     is_resumed: bool,
     #[serde(skip)]
     stored: u64,
+    /// Session and part that was done of the capture before.
+    #[serde(skip)]
+    before: Option<(String, f64)>,
 }
 
 /// What a capture does.
@@ -139,17 +142,13 @@ pub struct StoredFrame {
 }
 
 impl CaptureState {
-    /// A capture that begins after so many frames of others.
-    pub fn after_frames(stored: u64) -> Self {
+    /// A capture that begins after another one, which it may continue.
+    pub fn after(other: Option<&Self>) -> Self {
         Self {
-            stored,
+            stored: other.map_or(0, |other| other.stored),
+            before: other.and_then(|other| Some((other.session.clone()?, other.done))),
             ..Self::default()
         }
-    }
-
-    /// Frames that were stored, those of captures before included.
-    pub fn stored(&self) -> u64 {
-        self.stored
     }
 
     /// What an event changes.
@@ -171,7 +170,13 @@ impl CaptureState {
                     .map(|(index, angles)| Light::to_come(index, *angles))
                     .collect();
             }
-            Resumed { .. } => self.is_resumed = true,
+            Resumed { .. } => {
+                self.is_resumed = true;
+                // Until the first frame tells.
+                let before = self.before.take();
+                let same = before.filter(|(session, _)| Some(session) == self.session.as_ref());
+                self.done = same.map_or(0.0, |(_, done)| done);
+            }
             Homing => self.state = Phase::Homing,
             Moving { light, .. } => {
                 self.state = Phase::Moving;
@@ -301,6 +306,8 @@ impl CaptureState {
         if std::mem::take(&mut self.is_resumed) {
             let before = self.lights.iter_mut().take(index as usize);
             before.for_each(|light| light.state = LightState::Done);
+            let part = f64::from(index) / self.lights.len().max(1) as f64;
+            self.done = self.done.max(part.min(1.0));
         }
         for light in &mut self.lights {
             match light.state {
@@ -488,6 +495,21 @@ mod tests {
         ]);
         let states: Vec<_> = state.lights.iter().map(|light| light.state).collect();
         assert_eq!(states, [LightState::Done, LightState::Now]);
+        assert_eq!(state.done, 0.5, "one of two lights");
+        // The page goes on from what it showed of this session, and of no other.
+        let resumed = json!({"event": "resumed", "frames": 9});
+        for (session, done) in [(state.session.as_deref(), 0.5), (Some("other"), 0.0)] {
+            let other = CaptureState {
+                session: session.map(str::to_owned),
+                ..state.clone()
+            };
+            let mut next = CaptureState::after(Some(&other));
+            for mut event in [begun(), resumed.clone()] {
+                event["at"] = "2026-11-27T09:00:00Z".into();
+                next.apply(serde_json::from_value(event).unwrap());
+            }
+            assert_eq!(next.done, done, "{session:?}");
+        }
     }
 
     #[test]
@@ -501,7 +523,7 @@ mod tests {
         assert_eq!(state.warnings.len(), MOST_WARNINGS);
         assert_eq!(state.warnings.last().unwrap(), "199");
         assert_eq!(state.frame.take().unwrap().number, 1);
-        let mut next = CaptureState::after_frames(state.stored());
+        let mut next = CaptureState::after(Some(&state));
         let event = frame("stored", 0, json!({"file": "x", "retakes": 0, "at": "t"}));
         next.apply(serde_json::from_value(event).unwrap());
         assert_eq!(next.frame.unwrap().number, 2);

@@ -313,8 +313,7 @@ impl Jobs {
             let mut shown = locked(&self.0.shown);
             shown.job = JobState::begun(&work, line.clone(), process.pid());
             if work.kind == Kind::Capture {
-                let before = shown.capture.as_ref().map_or(0, CaptureState::stored);
-                shown.capture = Some(CaptureState::after_frames(before));
+                shown.capture = Some(CaptureState::after(shown.capture.as_ref()));
             }
         }
         self.publish();

@@ -1,7 +1,7 @@
 // The benches of the console's folder: which one it works with, and their rig files to edit.
 
 import { act, ask } from "./api.js";
-import { gate, h, panel, redraw, say } from "./dom.js";
+import { by, gate, h, panel, redraw, say } from "./dom.js";
 import { benchDrawing } from "./drawings.js";
 import { attempt, blocked, working } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
@@ -62,7 +62,7 @@ export function benchesPart() {
   return { element, load, known, edit: editor.open };
 }
 
-/** The console works with this bench from now on; every page is loaded anew when it does. */
+/** The console works with this bench from now on; every page then shows it where it is. */
 export async function take(rig) {
   if (await attempt("api/rigs/use", { rig })) announce("The bench is being changed");
 }
@@ -72,7 +72,7 @@ function rigEditor(changed) {
   const text = h("textarea", { id: "rig-text", rows: "24", spellcheck: "false", autocapitalize: "off", autocomplete: "off", "aria-label": "Text of the rig file", "aria-describedby": "rig-help" });
   const save = h("button", { type: "submit", class: "primary", id: "save-rig" }, "Save");
   const use = h("button", { type: "button", id: "save-use-rig", onclick: () => keep(true) }, "Save and use");
-  const close = h("button", { type: "button", class: "quiet", onclick: () => (element.hidden = true) }, "Close");
+  const close = h("button", { type: "button", class: "quiet", onclick: () => leave() }, "Close");
   const error = h("p", { class: "error", role: "alert" });
   const status = h("p", { class: "fine", role: "status" });
   const title = h("h4", {});
@@ -80,8 +80,10 @@ function rigEditor(changed) {
   const form = h("form", { class: "stack-form wide" }, text, h("div", { class: "row" }, save, use, close), error, status);
   const element = panel("Edit a rig file", { hidden: true }, title, h("p", { class: "fine", id: "rig-help" }, "Each key is explained in the file. It is checked before it is saved; the file as it was stays next to it, with .before after its name."), drawn, form);
   let opened = null;
+  let from = null;
 
   async function open(rig) {
+    from = document.activeElement;
     try {
       opened = await ask(`api/rigs/text?rig=${encodeURIComponent(rig)}`);
     } catch (failure) {
@@ -96,6 +98,12 @@ function rigEditor(changed) {
     text.setSelectionRange(0, 0);
     text.scrollTop = 0;
     element.scrollIntoView({ block: "start" });
+  }
+
+  /** Back to where it was opened. */
+  function leave() {
+    element.hidden = true;
+    (from?.isConnected ? from : by("setup-title")).focus();
   }
 
   function shown() {

@@ -1,6 +1,6 @@
 // The calibrations of the bench, and the one that is guided through.
 
-import { gate, h, panel } from "./dom.js";
+import { by, gate, h, panel } from "./dom.js";
 import { take } from "./benches.js";
 import { guidePart } from "./guide.js";
 import { blocked, working } from "./header.js";
@@ -19,7 +19,9 @@ export function startCalibrate(view) {
   const guide = guidePart();
   view.append(list, guide.element);
   const show = () => {
+    const stood = rehearse.contains(document.activeElement);
     rehearse.hidden = state.console?.rig?.name === REHEARSAL[0];
+    if (stood && rehearse.hidden) by("calibrate-title").focus({ preventScroll: true });
     gate(use, blocked() ?? (working() ? "A job is running." : null));
   };
   watch(["console", "control", "job", "link"], show);

@@ -43,14 +43,34 @@ export function redraw(element, key, children) {
   element.replaceChildren(...children().filter((child) => child !== null));
 }
 
-/** Disables a control with a reason, which takes the place of its tooltip, or enables it if there is none. */
+/** The control that was switched off under whoever used it. */
+let stood = null;
+
+/**
+ * Disables a control with a reason, which takes the place of its tooltip, or enables it if there is
+ * none; whoever stood on it stands there again.
+ */
 export function gate(control, reason) {
   const blocked = Boolean(reason);
-  if (control.disabled !== blocked) control.disabled = blocked;
+  if (control.disabled !== blocked) {
+    if (blocked && document.activeElement === control) stood = control;
+    control.disabled = blocked;
+    if (!blocked && stood === control) {
+      stood = null;
+      if (document.activeElement === document.body) control.focus({ preventScroll: true });
+    }
+  }
   control.dataset.about ??= control.title;
   const title = blocked ? reason : control.dataset.about;
   if (title) control.title = title;
   else control.removeAttribute("title");
+}
+
+/** Whoever stood on a control that is gone or off stands here, on what follows. */
+export function standOn(element) {
+  if (document.activeElement !== document.body) return;
+  element.tabIndex = Math.min(element.tabIndex, 0);
+  element.focus();
 }
 
 /** A panel with a heading. */

@@ -37,6 +37,8 @@ function factor({ histogram, clipped_pixels = 0 }) {
 
 function follow() {
   const { settings, view, camera, busy, connected } = state.bench ?? {};
+  // The next bench counts its frames from 1.
+  if (!connected) asked = null;
   if (!on || !connected || busy || blocked() || !view?.histogram || !Number.isFinite(settings?.exposure_s)) return;
   // The frames before the last change have come to an end.
   if (asked !== null && view.number < asked + 1) return;

@@ -2,7 +2,7 @@
 
 import { act, ask, askWith } from "./api.js";
 import { take } from "./benches.js";
-import { by, field, gate, h, panel, redraw, say } from "./dom.js";
+import { by, field, gate, h, panel, redraw, say, standOn } from "./dom.js";
 import { targetDrawing } from "./drawings.js";
 import { automatic } from "./exposing.js";
 import { attempt, blocked, working } from "./header.js";
@@ -26,6 +26,7 @@ export function guidePart() {
   const element = h("div", { class: "stack" }, head, place.element, measure.element, progress.element, result.element);
   let run = null;
   let shown = null;
+  let looks = 0;
 
   async function load() {
     const kind = shown;
@@ -47,7 +48,9 @@ export function guidePart() {
 
   function show() {
     if (!run || shown === null) return;
-    redraw(head, run.guide.kind, () => [h("p", {}, h("a", { href: "#calibrate" }, "← All calibrations")), h("h3", { class: "headline" }, run.guide.title)]);
+    const title = h("h3", { class: "headline" }, run.guide.title);
+    redraw(head, run.guide.kind, () => [h("p", {}, h("a", { href: "#calibrate" }, "← All calibrations")), title]);
+    if (title.isConnected && looks > 1) standOn(title);
     for (const part of [place, measure, progress, result]) part.show(run);
   }
 
@@ -66,6 +69,7 @@ export function guidePart() {
   return {
     element,
     look(kind) {
+      looks += 1;
       if (kind !== shown) run = null;
       shown = kind;
       live.look(kind !== null);
@@ -81,8 +85,8 @@ function begun(guide, rehearsed) {
   return { guide, values: { ...values, ...before.values }, sessions: before.sessions ?? [], lights: before.lights ?? (rehearsed ? guide.lights_rehearsed : guide.lights), ...before.begun };
 }
 
-function keep({ guide, values, sessions, lights, command = null, old = null, then = false }) {
-  sessionStorage.setItem(kept(guide.kind), JSON.stringify({ values, sessions, lights, begun: { command, old, then } }));
+function keep({ guide, values, sessions, lights, command = null, old = null, then = false, stopped = null }) {
+  sessionStorage.setItem(kept(guide.kind), JSON.stringify({ values, sessions, lights, begun: { command, old, then, stopped } }));
 }
 
 /** Why nothing can be begun, or null. */
@@ -96,19 +100,20 @@ function isLow() {
 }
 
 /** How often a target is looked for, until it is placed, and the time in between. */
-const LOOKS = 15;
+const LOOKS = 90;
 const LOOK_MS = 2000;
 
 /** How the target is placed, and whether it is. */
 function placePart(live, current) {
   const steps = h("div", { class: "stack" });
-  const put = h("button", { type: "button", class: "primary", id: "put-target", onclick: () => take(current().guide.lacks) }, "Put it before the simulated camera");
+  const put = h("button", { type: "button", class: "primary", id: "put-target", onclick: () => (pressed = true) && take(current().guide.lacks) }, "Put it before the simulated camera");
   const simulated = h("p", { class: "fine" }, "The simulated bench puts it before its camera by itself.");
   const connect = h("button", { type: "button", id: "guide-light" });
   const check = h("button", { type: "button", id: "check-target" }, "Is it placed?");
   const seen = h("p", { role: "status", id: "target-seen" });
   const failed = h("p", { class: "error", role: "alert" });
   let again = null;
+  let pressed = false;
   const look = h("div", { class: "stack" }, live.picture, h("div", { class: "row" }, connect, check), failed, seen);
   const element = h("div", { class: "two even" }, panel("1. Place the target", {}, steps, h("div", { class: "row" }, put), simulated), look);
   connect.addEventListener("click", () => {
@@ -159,6 +164,11 @@ function placePart(live, current) {
     gate(put, busy());
     gate(connect, idle);
     gate(check, idle ?? (bench?.connected ? null : "Show the live picture first."));
+    // Whoever pressed the button that is gone stands on the next one.
+    if (pressed && put.hidden && !connect.disabled) {
+      pressed = false;
+      standOn(connect);
+    }
   }
   return { element, show };
 }
@@ -174,9 +184,10 @@ function measurePart(current) {
   const there = h("details", {}, h("summary", {}, "Use a session that is there"), h("div", { class: "row" }, field("Session", others), add));
   const view = h("button", { type: "button", id: "guide-view" }, "Take a view");
   const go = h("button", { type: "submit", class: "primary", id: "guide-start" });
+  const resume = h("button", { type: "button", id: "guide-resume", onclick: () => begin(current(), "api/capture/resume", { session: current().stopped, fit: false }, current().then) }, "Resume it");
   const why = h("p", { class: "why" });
   const error = h("p", { class: "error", role: "alert" });
-  const form = h("form", { class: "stack-form" }, entries, lightsField, views, h("div", { class: "row" }, view, go), there, why, error);
+  const form = h("form", { class: "stack-form" }, entries, lightsField, views, h("div", { class: "row" }, view, go, resume), there, why, error);
   const element = panel("2. Measure", {}, form);
 
   form.addEventListener("input", () => {
@@ -216,12 +227,14 @@ function measurePart(current) {
   }
   async function begin(run, address, body, then = false) {
     say(error, "");
+    // What follows is not here: the result.
+    document.activeElement.blur();
     gate(go, "Starting …");
     gate(view, "Starting …");
     const old = state.job?.began ?? null;
     try {
       const { command } = await act(address, body);
-      Object.assign(run, { command, old, then });
+      Object.assign(run, { command, old, then, stopped: null });
       keep(run);
     } catch (failure) {
       say(error, `${capital(failure.message)}${failure.hint ? ` – ${failure.hint}` : ""}`);
@@ -234,7 +247,11 @@ function measurePart(current) {
     const { job, capture: last } = state;
     if (job?.kind !== "capture" || !run.command || job.command !== run.command || job.began === run.old) return;
     run.command = null;
-    if (last?.state !== "complete") return say(error, `The capture was ${last?.state ?? "stopped"}.${last?.error ? ` ${capital(last.error)}.` : ""} Its session can be resumed.`);
+    if (last?.state !== "complete") {
+      run.stopped = last?.session ? sessionName(last.session) : null;
+      keep(run);
+      return say(error, `${job.state === "interrupted" ? "The capture was stopped." : (job.log ?? []).filter((line) => /^(error|hint): /.test(line)).map((line) => `${capital(line.replace(/^\w+: /, ""))}.`).join(" ")} ${run.stopped ? "“Resume it” goes on where it was." : "“Capture and measure” begins it anew."}`);
+    }
     run.sessions = run.guide.several ? [...run.sessions, sessionName(last.session)] : [sessionName(last.session)];
     keep(run);
     if (run.then) measure(run);
@@ -253,6 +270,8 @@ function measurePart(current) {
     element.hidden = Boolean(guide.lacks);
     const missing = guide.values.find((one) => one.required && !run.values[one.key]?.trim());
     const reason = busy() ?? (run.trial === null ? "The records of this bench are built into the program: use the bench of the rehearsals, or a rig file of your own." : null);
+    resume.hidden = !run.stopped;
+    gate(resume, reason);
     gate(view, reason);
     gate(go, reason ?? (missing ? `State first: ${missing.label}.` : null));
     say(why, reason ?? "");
@@ -268,7 +287,7 @@ function entry(one, value) {
 }
 
 /** What the person at the bench is asked to do. */
-const HANDS = { cover: "Cover the lens", uncover: "Take the cover off the lens", "light-on": "Switch the even light on, and leave the room as it is", "light-off": "Switch the even light off, and leave the room as it is" };
+const HANDS = { cover: "Cover the lens", uncover: "Take the cover off the lens", "light-on": "Switch the even light on, and leave the room as it is", "light-off": "Switch the even light off, and leave the room as it is", "lamp-on": "Switch the lamp on", "lamp-off": "Switch the lamp off", place: "Hold the lamp above the target" };
 
 /** The job of this guide while it runs. */
 function progressPart() {
@@ -316,6 +335,7 @@ function resultPart(reload) {
     sessionStorage.removeItem(kept(run.guide.kind));
     announce("The record is in force");
     location.hash = "#calibrate";
+    by("calibrate-title").focus();
   }));
   repeat.addEventListener("click", end("api/guides/discard", () => {
     // Views may be left out one by one.
@@ -329,8 +349,10 @@ function resultPart(reload) {
     const { job } = state;
     const mine = job?.kind === "calibration" && job.command?.startsWith(`rig calibrate ${run.guide.kind} `) && !working();
     const records = run.trial?.of === run.guide.kind ? run.trial.records : [];
+    const was = element.hidden;
     element.hidden = working() || !(mine || records.length);
     if (element.hidden) return;
+    if (was) standOn(element.querySelector("h3"));
     say(what, records.length ? `Not in force yet: ${records.join(", ")}.` : job?.state === "done" ? "" : `It ended without a record: ${job?.state}. “${by("guide-start").innerText}” begins it anew.`);
     const lines = mine ? (job.log ?? []).filter((line) => !/^(figure|EMVA 1288 figures): /.test(line)).map((line) => line.replace("/.trial/", "/")) : [];
     redraw(said, lines, () => lines.map((line) => h("li", { class: /^(warning|error|hint)/.test(line) ? "warn" : null }, line)));

@@ -3,7 +3,7 @@
 import { Refused, act, giveUpQuestions, viewer } from "./api.js";
 import { by, gate, say } from "./dom.js";
 import { short, span } from "./format.js";
-import { announce, complain } from "./notices.js";
+import { announce, capital, complain, tell } from "./notices.js";
 import { link, state, watch } from "./stream.js";
 import { verdictWords } from "./verdict.js";
 
@@ -53,26 +53,41 @@ export async function attempt(address, body) {
 async function stop() {
   const button = by("stop");
   button.classList.add("pressed");
+  setTimeout(() => button.classList.remove("pressed"), 600);
   announce("STOP sent");
   giveUpQuestions();
   // Both, always: what this page last heard of a capture may be old.
   const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
-  const reached = new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean));
-  announce(reached.size > 0 ? `STOP reached ${[...reached].join(" and ")}` : "STOP reached nothing");
-  const failed = outcomes.find((outcome) => outcome.status === "rejected");
-  if (failed?.reason.status === 0) complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
-  else if (failed) complain(failed.reason);
-  setTimeout(() => button.classList.remove("pressed"), 600);
+  const refused = outcomes.filter((outcome) => outcome.status === "rejected").map((outcome) => outcome.reason);
+  if (refused.some((reason) => reason.status === 0)) return complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
+  const reached = [...new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean))].join(" and ");
+  const unchecked = refused.map((reason) => `${capital(reason.message)}${reason.hint ? ` – ${reason.hint}` : ""}.`);
+  if (!reached) return tell(["Nothing was running.", ...unchecked].join(" "));
+  tell([`STOP reached ${reached} …`, ...unchecked].join(" "));
+  // A program that has the devices switches its lamp off before it ends, or fails.
+  const ofStage = /the stage|the bench/.test(reached);
+  const hasDevices = outcomes[1].status === "fulfilled";
+  const { error, hint } = (await stopped()) ? ((ofStage && state.bench?.error) || {}) : { error: `STOP has not ended ${reached} yet`, hint: "press it again, or the emergency stop" };
+  const failed = hasDevices && !ofStage && state.job?.state === "failed" ? "the program that had the devices failed: look whether the lamp is on" : null;
+  if (error ?? failed) return complain(new Refused(error ?? failed, hint ?? null, 409));
+  const own = state.bench?.stage?.lamp_word === "reported" ? ", the lamp is off" : ", lamp off was sent, not verified: look at it";
+  const is = ofStage ? `STOP: the stage stands${own}.` : `STOP ended ${reached}${hasDevices ? ", its lamp was switched off" : ""}.`;
+  tell([is, ...unchecked].join(" "));
 }
 
-let since = null;
+/** Waits until no job runs and the stage stands, or a quarter of a minute; whether they do. */
+async function stopped() {
+  for (const end = performance.now() + 15000; performance.now() < end; ) {
+    // What this page last heard is older than the answer.
+    await new Promise((then) => setTimeout(then, 250));
+    if (!working() && state.bench?.busy !== "stopping") return true;
+  }
+  return false;
+}
 
 function showRig() {
   const rig = state.console?.rig;
   if (!rig) return;
-  // Another console answers at this address, or another bench: the page begins anew.
-  since ??= state.console.since;
-  if (since !== state.console.since) return location.reload();
   say(by("rig-name"), rig.name);
   by("simulated").hidden = !rig.simulated || rig.name === "simulated";
   showTitle();

@@ -71,6 +71,7 @@ export function livePanels() {
     const figures = bench?.connected ? bench.view : null;
     if (Boolean(bench?.connected) !== connected) {
       connected = Boolean(bench?.connected);
+      number = null;
       if (connected) loadOutline();
       else view.clear();
       reset();

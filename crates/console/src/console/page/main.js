@@ -49,6 +49,17 @@ function chooseFirst() {
   if (location.hash === "" && running) location.hash = "#capture";
 }
 
+// Another bench: what the view shows is loaded anew, and whoever uses it stays where they are.
+let since = null;
+function renew() {
+  const before = since;
+  since = state.console?.since ?? null;
+  if (before === null || before === since) return;
+  const [view, rest] = route();
+  shown[view ?? current]?.(false, rest);
+  show(false);
+}
+
 async function start() {
   startHeader();
   startShortcuts();
@@ -65,6 +76,7 @@ async function start() {
   window.addEventListener("hashchange", () => show(true));
   show(false);
   watch(["job"], chooseFirst);
+  watch(["console"], renew);
   await settleIdentity();
   open();
 }

@@ -1,4 +1,4 @@
-// What went wrong, at the head of the page, until it is dismissed or 20 s have passed.
+// What went wrong, and what STOP came to, at the head of the page, until it is dismissed or 20 s have passed.
 
 import { by, h, say } from "./dom.js";
 
@@ -7,17 +7,25 @@ const SHOWN_MS = 20000;
 /** Shows a failed action; one that repeats is shown once. */
 export function complain(error) {
   if (error?.name === "AbortError") return;
-  const fact = error?.message ?? String(error);
-  const hint = error?.hint ?? null;
+  notice(error?.message ?? String(error), error?.hint ?? null, "wrong");
+}
+
+/** Shows what an action came to, in place of the last such answer. */
+export function tell(text) {
+  for (const answer of by("notices").querySelectorAll(".answer")) answer.remove();
+  notice(text, null, "answer");
+}
+
+function notice(fact, hint, kind) {
   const notices = by("notices");
-  const same = [...notices.children].find((notice) => notice.dataset.fact === fact);
+  const same = [...notices.children].find((one) => one.dataset.fact === fact);
   same?.remove();
   const text = h("p", {}, h("strong", {}, capital(fact)), hint ? ` – ${hint}` : null);
   const close = h("button", { type: "button", class: "quiet", "aria-label": "Dismiss this message" }, "Dismiss");
-  const notice = h("div", { class: "notice", "data-fact": fact }, text, close);
-  close.addEventListener("click", () => notice.remove());
-  notices.append(notice);
-  setTimeout(() => notice.remove(), SHOWN_MS);
+  const element = h("div", { class: `notice ${kind}`, "data-fact": fact }, text, close);
+  close.addEventListener("click", () => element.remove());
+  notices.append(element);
+  setTimeout(() => element.remove(), SHOWN_MS);
 }
 
 /** Tells a screen reader what has changed. */

@@ -106,6 +106,8 @@ export function startQueue(view) {
   return (on) => {
     if (on && !shown) {
       shown = true;
+      // The bench may be another one.
+      estimates.clear();
       load();
     }
     shown = on;

@@ -16,6 +16,7 @@ export function tryPanel() {
   const said = h("p", { role: "status", id: "tried" });
   const frame = h("img", { class: "pixels tried", alt: "The frame that was taken", hidden: true });
   let doing = false;
+  let since = null;
   const test = (label, id, run) => h("button", { type: "button", id, onclick: () => carryOut(label, run) }, label);
   const take = test("Take a frame", "try-frame", async () => {
     const before = state.bench.view?.number;
@@ -62,6 +63,11 @@ export function tryPanel() {
     show();
   }
   function show() {
+    // What was tried was another bench.
+    if (since !== (since = state.console?.since ?? null) && !doing) {
+      say(said, "");
+      frame.hidden = true;
+    }
     const hasStage = state.console?.mode !== "camera" && state.console?.rig?.has_stage !== false;
     home.hidden = lamp.hidden = !hasStage;
     const reason = blocked() ?? (doing ? "A test is under way." : working() ? "A job is running." : (state.bench?.busy ?? null));
