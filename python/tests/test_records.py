@@ -24,6 +24,9 @@ def test_what_is_shown_is_short(images, quick_fit):
         (plastic.check(), "Check(passes=True, reciprocity="),
         (rig.Merged(images[0], 3, [], []), "Merged(RadianceImage(20 x 16 px, with variance), masked"),
         (sphere, "Mesh(3 vertices, 1 triangles)"),
+        (quick_fit.interval(15, [10, 50]), "Interval(2 pairs of angles, "),
+        (quick_fit.interval(15, 10), "], constrained="),
+        (rig.Light(to_light=(0, 0, 1)), "Light(to_light=[0, 0, 1])"),
     ]:
         assert said in repr(thing) and len(repr(thing)) < 200, repr(thing)
 
