@@ -396,6 +396,8 @@ fn an_export_is_called_after_its_sample() {
         String::from_utf8(done.stdout).unwrap()
     };
     assert_eq!(export(&["--format", "json"]), "red-plastic.json\n");
+    let none = rig(&root, &words("export . --format json --fit 7"));
+    assert_fails(&none, ". has no fit 7", "leave --fit out");
     let made = export(&["--format", "blender", "--out", "a.py"]);
     assert_eq!(made, "a.py\na.py.png\n");
     let name = |file: &str| {
@@ -534,7 +536,7 @@ fn nobody_signs_what_is_not_to_be_trusted() {
     };
     assert_fails(
         &asked(&["--out", "c.doc"]),
-        "a .html or a .pdf file",
+        "a certificate ends in .html or .pdf",
         "certificate.pdf",
     );
     assert_fails(
