@@ -160,19 +160,29 @@ class Budget:
     share: NDArray[np.float64]
     """(K, S): part of the variance by source; rows sum to 1."""
 
+    @property
+    def not_evaluated(self) -> list[str]:
+        """Sources that the fit took as exactly known: their share is 0 everywhere."""
+        pairs = zip(self.sources, self.share.T, strict=True)
+        return [name for name, share in pairs if not share.any()]
+
     def to_pandas(self) -> Any:
         """A pandas.DataFrame, a row for each pair of angles and a column for each source.
 
-        Raises ImportError without the package pandas.
+        What is not evaluated is NaN. Raises ImportError without the package pandas.
         """
         columns = {
             name: getattr(self, name)
             for name in ("theta_h_deg", "theta_d_deg", "value", "relative_std")
         }
-        return _frame(columns | dict(zip(self.sources, self.share.T, strict=True)))
+        shares = dict(zip(self.sources, self.share.T, strict=True))
+        return _frame(columns | shares | dict.fromkeys(self.not_evaluated, np.nan))
 
     def __repr__(self) -> str:
-        return f"Budget({len(self.value)} pairs of angles, sources: {', '.join(self.sources)})"
+        unknown = self.not_evaluated
+        sources = [name for name in self.sources if name not in unknown]
+        tail = f"; not evaluated: {', '.join(unknown)}" if unknown else ""
+        return f"Budget({len(self.value)} pairs of angles, sources: {', '.join(sources)}{tail})"
 
 
 @dataclass(frozen=True)

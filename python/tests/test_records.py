@@ -39,6 +39,8 @@ def test_tables_become_those_of_pandas(quick_fit, tmp_path):
     budget = quick_fit.budget.to_pandas()
     assert len(budget) == len(quick_fit.budget.value)
     np.testing.assert_allclose(budget[quick_fit.budget.sources].sum(axis=1), 1)
+    exact = quick_fit.budget.not_evaluated
+    assert "pose" in exact and "model" not in exact and budget[exact].isna().all(axis=None)
 
 
 def test_without_pandas_it_is_named(quick_fit, monkeypatch):
