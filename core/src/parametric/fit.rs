@@ -263,11 +263,10 @@ impl Search<'_> {
         let [of_squares, of_error] = self.least_gain;
         let is_usual = self.least_gain == [0.0; 2] || has_usual_fibres(&found.parameters);
         let most = match is_usual {
-            true => f64::INFINITY,
+            true => fewer.error - of_error,
             false => (GAIN_OF_STRANGE_FIBRES * fewer.error).min(POOR),
         };
-        found.squares < (1.0 - of_squares) * fewer.squares
-            && found.error < most.min(fewer.error - of_error)
+        found.squares < (1.0 - of_squares) * fewer.squares && found.error < most
     }
 
     /// What of the base is free: all that programs show without extensions.
