@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +21,13 @@ def _frame(columns):
         message = "to_pandas() needs the package pandas, for instance by: pip install pandas"
         raise ImportError(message) from error
     return pandas.DataFrame(columns)
+
+
+def _stated(record):
+    """The repr of a record's fields that are not None, arrays as lists."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    shown = [f"{name}={np.asarray(value).tolist()}" for name, value in values.items() if value is not None]
+    return f"{type(record).__name__}({', '.join(shown)})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,7 +120,7 @@ class Table:
         return f"Table({half} half x {difference} difference angles, {constrained} constrained)"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Interval:
     """f with its 95% interval at angles of your own, whose shape is (...)."""
 
@@ -125,6 +132,15 @@ class Interval:
     """(..., 3), 1/sr."""
     constrained: NDArray[np.bool_]
     """(...): whether the images determine f there, or only the prior does."""
+
+    def __repr__(self) -> str:
+        angles, constrained = np.size(self.constrained), np.count_nonzero(self.constrained)
+        if angles != 1:
+            return f"Interval({angles} pairs of angles, {constrained} constrained)"
+        f = [f"{value:.3g}" for value in np.ravel([self.value, self.lower, self.upper])]
+        rows = {"value": f[:3], "lower": f[3:6], "upper": f[6:]}
+        shown = ", ".join(f"{name}=[{', '.join(row)}]" for name, row in rows.items())
+        return f"Interval({shown}, constrained={constrained == 1})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,19 +160,29 @@ class Budget:
     share: NDArray[np.float64]
     """(K, S): part of the variance by source; rows sum to 1."""
 
+    @property
+    def not_evaluated(self) -> list[str]:
+        """Sources that the fit took as exactly known: their share is 0 everywhere."""
+        pairs = zip(self.sources, self.share.T, strict=True)
+        return [name for name, share in pairs if not share.any()]
+
     def to_pandas(self) -> Any:
         """A pandas.DataFrame, a row for each pair of angles and a column for each source.
 
-        Raises ImportError without the package pandas.
+        What is not evaluated is NaN. Raises ImportError without the package pandas.
         """
         columns = {
             name: getattr(self, name)
             for name in ("theta_h_deg", "theta_d_deg", "value", "relative_std")
         }
-        return _frame(columns | dict(zip(self.sources, self.share.T, strict=True)))
+        shares = dict(zip(self.sources, self.share.T, strict=True))
+        return _frame(columns | shares | dict.fromkeys(self.not_evaluated, np.nan))
 
     def __repr__(self) -> str:
-        return f"Budget({len(self.value)} pairs of angles, sources: {', '.join(self.sources)})"
+        unknown = self.not_evaluated
+        sources = [name for name in self.sources if name not in unknown]
+        tail = f"; not evaluated: {', '.join(unknown)}" if unknown else ""
+        return f"Budget({len(self.value)} pairs of angles, sources: {', '.join(sources)}{tail})"
 
 
 @dataclass(frozen=True)
@@ -272,7 +298,7 @@ class Merged:
         return f"Merged({self.image!r}, masked_pixels={self.masked_pixels})"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Camera:
     """A camera in the sample's frame: with extent_mm telecentric, with fov_deg a pinhole's view.
 
@@ -306,8 +332,10 @@ class Camera:
     tangential: ArrayLike | None = None
     """(2,), distortion p1, p2."""
 
+    __repr__ = _stated
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Light:
     """A light far away, with to_light, or a small lamp, with position_mm and intensity."""
 
@@ -321,6 +349,8 @@ class Light:
     """(3,)."""
     intensity: ArrayLike | None = None
     """Irradiance × mm², one number or R, G, B."""
+
+    __repr__ = _stated
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -438,7 +438,9 @@ impl Brdf {
 /// Names of the embedded measured materials, as Brdf.load takes them.
 #[pyfunction]
 pub fn materials() -> Vec<String> {
-    nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).to_vec()
+    let mut names = nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).to_vec();
+    names.sort();
+    names
 }
 
 /// A dictionary by name or file, or a list of atoms.

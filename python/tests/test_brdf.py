@@ -42,7 +42,7 @@ def test_values_are_those_of_the_program(program, spec, tmp_path):
 
 def test_all_materials_are_there():
     names = rig.materials()
-    assert len(names) == 26 and "nbrdf:red-plastic" in names
+    assert len(names) == 26 and names == sorted(names) and "nbrdf:red-plastic" in names
     assert rig.Brdf.load(names[-1]).name == names[-1]
 
 

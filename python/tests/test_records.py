@@ -24,6 +24,9 @@ def test_what_is_shown_is_short(images, quick_fit):
         (plastic.check(), "Check(passes=True, reciprocity="),
         (rig.Merged(images[0], 3, [], []), "Merged(RadianceImage(20 x 16 px, with variance), masked"),
         (sphere, "Mesh(3 vertices, 1 triangles)"),
+        (quick_fit.interval(15, [10, 50]), "Interval(2 pairs of angles, "),
+        (quick_fit.interval(15, 10), "], constrained="),
+        (rig.Light(to_light=(0, 0, 1)), "Light(to_light=[0, 0, 1])"),
     ]:
         assert said in repr(thing) and len(repr(thing)) < 200, repr(thing)
 
@@ -36,6 +39,8 @@ def test_tables_become_those_of_pandas(quick_fit, tmp_path):
     budget = quick_fit.budget.to_pandas()
     assert len(budget) == len(quick_fit.budget.value)
     np.testing.assert_allclose(budget[quick_fit.budget.sources].sum(axis=1), 1)
+    exact = quick_fit.budget.not_evaluated
+    assert "pose" in exact and "model" not in exact and budget[exact].isna().all(axis=None)
 
 
 def test_without_pandas_it_is_named(quick_fit, monkeypatch):

@@ -157,11 +157,12 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
 }
 
 fn list(json: bool) -> Result<(), CliError> {
-    let names: Vec<String> = nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).into();
-    if json {
-        return write_json(&names);
+    let mut names = nbrdf::NAMES.map(|name| format!("nbrdf:{name}"));
+    names.sort();
+    match json {
+        true => write_json(&names),
+        false => names.iter().try_for_each(|name| out!("{name}")),
     }
-    names.iter().try_for_each(|name| out!("{name}"))
 }
 
 fn eval(spec: &str, at: &[Angles], file: Option<&Path>, json: bool) -> Result<(), CliError> {
@@ -186,10 +187,9 @@ fn eval(spec: &str, at: &[Angles], file: Option<&Path>, json: bool) -> Result<()
 fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     let answer = material::check_material(spec).map_err(advise)?;
     let found = &answer.physical;
-    if json {
-        write_json(&answer)?;
-    } else {
-        answer.lines().iter().try_for_each(|line| out!("{line}"))?;
+    match json {
+        true => write_json(&answer)?,
+        false => answer.lines().iter().try_for_each(|line| out!("{line}"))?,
     }
     if let Some(gaps) = answer.excessive_gaps() {
         return Err(CliError::new(format!(

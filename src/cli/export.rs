@@ -97,8 +97,9 @@ fn record(args: &ExportArgs) -> Result<(FitRecord, Option<String>), CliError> {
         None => Ok((fit_record::read(dir)?, None)),
     };
     found().map_err(|error| match (args.fit, &error) {
-        (Some(_), FitRecordError::NoFit { .. }) if args.dir.exists() => {
-            CliError::from(error).hint(LATEST_FIT)
+        (Some(number), FitRecordError::NoFit { .. }) if args.dir.exists() => {
+            let session = args.dir.clone();
+            stated_result_error(StatedResultError::NoSuchFit { session, number })
         }
         _ => error.into(),
     })

@@ -244,22 +244,22 @@ fn subcommand(arguments: &[OsString]) -> String {
 
 /// clap's paragraphs as one fact and one hint.
 fn usage_error(rendered: &str, subcommand: &str) -> CliError {
+    let fact = usage_fact(rendered);
+    let taker = takers(&fact, subcommand);
     let lines = rendered.split("\n\n").skip(1).flat_map(str::lines);
-    let tips = lines
-        .filter_map(|line| line.trim().strip_prefix("tip: "))
-        // Of an option that is none here: no file or sample is called so.
-        .filter_map(|tip| match tip.strip_prefix("to pass '") {
-            Some(rest) => takers(rest.split('\'').next()?, subcommand),
-            None => Some(tip.to_owned()),
-        });
+    let tips = lines.filter_map(|line| line.trim().strip_prefix("tip: "));
+    // Of an option that is none here: it is no typing error, and no file or sample is called so.
+    let tips = tips.filter(|tip| taker.is_none() && !tip.starts_with("to pass '"));
     let help = format!("`{subcommand} --help` explains the arguments");
-    let hints: Vec<_> = tips.chain([help]).collect();
-    CliError::new(usage_fact(rendered)).hint(hints.join("; "))
+    let hints = taker.as_deref().into_iter().chain(tips);
+    let hints: Vec<_> = hints.chain([&*help]).collect();
+    CliError::new(&fact).hint(hints.join("; "))
 }
 
-/// Which commands above and beside `subcommand` take the option, where few do.
-fn takers(option: &str, subcommand: &str) -> Option<String> {
-    let long = option.strip_prefix("--")?;
+/// Which commands above and beside `subcommand` take an unexpected option, where few do.
+fn takers(fact: &str, subcommand: &str) -> Option<String> {
+    let rest = fact.strip_prefix("unexpected argument '--")?;
+    let (long, _) = rest.split_once('\'')?;
     let (above, _) = subcommand.rsplit_once(' ')?;
     let within = |command: clap::Command, word| command.find_subcommand(word).cloned();
     let parent = above.split(' ').skip(1).try_fold(definition(), within)?;
@@ -273,7 +273,7 @@ fn takers(option: &str, subcommand: &str) -> Option<String> {
     let all: Vec<_> = itself.into_iter().chain(beside).collect();
     (1..=3)
         .contains(&all.len())
-        .then(|| format!("{option} is of {}", all.join(" and ")))
+        .then(|| format!("--{long} is of {}", all.join(" and ")))
 }
 
 /// What clap finds wrong, without its tips.

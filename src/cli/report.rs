@@ -88,11 +88,8 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     let is_pdf = ends_in("pdf").unwrap_or(browser.is_some());
     if !is_pdf && ends_in("html") == Some(false) {
         let path = args.out.clone().unwrap_or_default();
-        return Err(CliError::new(format!(
-            "{}: a certificate is a .html or a .pdf file",
-            path.display()
-        ))
-        .hint("for instance --out certificate.pdf"));
+        let fact = format!("{}: a certificate ends in .html or .pdf", path.display());
+        return Err(CliError::new(fact).hint("for instance --out certificate.pdf"));
     }
     let path = args.out.clone();
     let path = path.unwrap_or_else(|| certificate::default_file(is_pdf).to_owned());

@@ -28,6 +28,8 @@ export const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true }
 export async function workplace({ timing = "realistic", small = true } = {}) {
   const folder = await mkdtemp(path.join(tmpdir(), "rig-console-"));
   const text = await readFile(path.join(ROOT, "rig-configs/simulated.toml"), "utf8");
+  // A laboratory that states all it can.
+  const stated = text.replace(/\n\[lab\][^]*?\n# ---/, (lab) => lab.replace(/\n# (\w+ = )/g, "\n$1"));
   const changes = {
     timing: `"${timing}"`,
     // Simulated devices share a busy machine with the tests.
@@ -36,7 +38,7 @@ export async function workplace({ timing = "realistic", small = true } = {}) {
     frame_timeout_s: "20.0",
     ...(small ? { samples_per_pixel: "2", max_reflections: "2", resolution_px: "[64, 64]", extent_mm: "[22.0, 22.0]", point_spread_px: "0.0" } : {}),
   };
-  const lines = text.split("\n").map((line) => {
+  const lines = stated.split("\n").map((line) => {
     const [key] = line.split(" = ");
     return key in changes ? `${key} = ${changes[key]}` : line;
   });

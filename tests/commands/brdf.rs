@@ -43,6 +43,7 @@ fn materials_are_listed_and_evaluated_at_an_angle() {
     let here = Path::new(".");
     let (code, list, _) = rig(here, &["list"]);
     assert_eq!((code, list.lines().count()), (0, 26));
+    assert!(list.lines().is_sorted());
     let (_, json, _) = rig(here, &["list", "--json"]);
     let names: Vec<String> = serde_json::from_str(&json).unwrap();
     assert!(names.iter().map(String::as_str).eq(list.lines()));

@@ -76,6 +76,11 @@ fn usage_errors_are_one_fact_and_one_hint() {
             "error: unexpected argument '--certificate' found\n\n\
              hint: --certificate is of `rig report`; `rig merge --help` explains the arguments\n",
         ),
+        (
+            "fit --certificate", // much like --uncertainty
+            "error: unexpected argument '--certificate' found\n\n\
+             hint: --certificate is of `rig report`; `rig fit --help` explains the arguments\n",
+        ),
     ] {
         let output = rig().args(words.split(' ')).output().unwrap();
         assert_eq!(String::from_utf8_lossy(&output.stderr), said);

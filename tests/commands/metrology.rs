@@ -307,7 +307,15 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
     for said in [
         "Institute of Optics",
         "Reflectometry &lt;1&gt;",
+        "Operator: A. Miller",
+        "Contact: B. Jones",
+        "reflectometry@example.org",
+        "https://example.org/reflectometry",
+        "Long Street 8, 02150 Espoo, Finland",
+        "temperature 22.5 °C, relative humidity 45%",
         "R: 605 nm to 640 nm",
+        "400 nm to 1000 nm",
+        "lamp 9 W",
         "hollow hemisphere",
         "standard uncertainty 1.00%",
         "The stated coverage of 95.0% is not shown",
@@ -388,6 +396,8 @@ fn an_export_is_called_after_its_sample() {
         String::from_utf8(done.stdout).unwrap()
     };
     assert_eq!(export(&["--format", "json"]), "red-plastic.json\n");
+    let none = rig(&root, &words("export . --format json --fit 7"));
+    assert_fails(&none, ". has no fit 7", "leave --fit out");
     let made = export(&["--format", "blender", "--out", "a.py"]);
     assert_eq!(made, "a.py\na.py.png\n");
     let name = |file: &str| {
@@ -526,7 +536,7 @@ fn nobody_signs_what_is_not_to_be_trusted() {
     };
     assert_fails(
         &asked(&["--out", "c.doc"]),
-        "a .html or a .pdf file",
+        "a certificate ends in .html or .pdf",
         "certificate.pdf",
     );
     assert_fails(

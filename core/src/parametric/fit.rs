@@ -69,6 +69,10 @@ const SMALL_SPHERE: usize = 20;
 const LEAST_GAIN: f64 = 0.03;
 /// and the environment error by this much.
 const LEAST_GAIN_OF_ERROR: f64 = 0.005;
+/// Fibres of a colour that nobody would choose must lower it to this part, and below [`POOR`].
+const GAIN_OF_STRANGE_FIBRES: f64 = 0.9;
+/// By how much the channels of usual fibres, relative to the brightest, may be below the base's.
+const HUE: f64 = 0.1;
 /// Environment error of the best base above which OpenPBR's is another start.
 const POOR: f64 = 0.25;
 /// A diffuse material is sought darker and brighter than the nearest by its values.
@@ -206,6 +210,17 @@ fn fuzzy(ground: &Parameters, tinted: bool) -> Parameters {
     }
 }
 
+/// Whether fibres have a hue between none and the base's, as an artist would choose.
+fn has_usual_fibres(parameters: &Parameters) -> bool {
+    let relative = |color: [f64; 3]| {
+        let brightest = color.into_iter().fold(1e-9, f64::max);
+        color.map(|value| value / brightest)
+    };
+    let [fuzz, base] = [parameters.fuzz, parameters.base_color].map(relative);
+    let mut pairs = fuzz.into_iter().zip(base);
+    parameters.fuzz == [0.0; 3] || pairs.all(|(fuzz, base)| fuzz >= base - HUE)
+}
+
 /// A material and how far it is from the one that is sought.
 #[derive(Clone, Copy, Debug)]
 struct Found {
@@ -246,7 +261,12 @@ impl Search<'_> {
     /// Whether more parameters have lowered both measures by enough.
     fn is_nearer(&self, found: &Found, fewer: &Found) -> bool {
         let [of_squares, of_error] = self.least_gain;
-        found.squares < (1.0 - of_squares) * fewer.squares && found.error < fewer.error - of_error
+        let is_usual = self.least_gain == [0.0; 2] || has_usual_fibres(&found.parameters);
+        let most = match is_usual {
+            true => fewer.error - of_error,
+            false => (GAIN_OF_STRANGE_FIBRES * fewer.error).min(POOR),
+        };
+        found.squares < (1.0 - of_squares) * fewer.squares && found.error < most
     }
 
     /// What of the base is free: all that programs show without extensions.

@@ -128,3 +128,25 @@ fn neutral_materials_stay_neutral_and_no_grey_is_nearer() {
         }
     }
 }
+
+/// No coloured fibres on a grey base, and the base's on a coloured one.
+#[test]
+fn fibres_have_the_bases_hue_or_none() {
+    for (spec, model) in [
+        ("nbrdf:silver-paint", Model::Gltf),
+        ("nbrdf:chrome", Model::Gltf),
+        ("nbrdf:red-plastic", Model::OpenPbr),
+    ] {
+        let found = fit(source::load(spec).unwrap().as_ref(), model).unwrap();
+        assert!(has_usual_fibres(&found.parameters), "{spec}: {found:?}");
+    }
+    let fibres = |fuzz| {
+        has_usual_fibres(&Parameters {
+            base_color: [0.6, 0.1, 0.05],
+            fuzz,
+            ..Parameters::default()
+        })
+    };
+    assert!(fibres([0.0; 3]) && fibres([0.3; 3]) && fibres([0.3, 0.05, 0.03]));
+    assert!(!fibres([0.0, 1.0, 0.48]));
+}

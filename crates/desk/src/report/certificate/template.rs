@@ -67,12 +67,17 @@ fn lab(result: &StatedResult) -> Value {
         joined(&[&address.country]),
     ];
     let lines: Vec<String> = lines.into_iter().filter(|line| !line.is_empty()).collect();
+    let reached: Vec<&str> = [&lab.email, &lab.website]
+        .into_iter()
+        .flatten()
+        .map(String::as_str)
+        .collect();
     context! {
         organisation => value(&lab.organisation),
         laboratory => value(&lab.laboratory),
         operator => value(&lab.operator),
         contact => value(&lab.contact),
-        email => value(&lab.email),
+        reached => reached.join(", "),
         address => lines.join(", "),
         lacking => lab.not_stated().join(", "),
     }
@@ -83,6 +88,7 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
     let (record, session) = (&result.record, result.session.record());
     let (camera, stage) = (&session.versions.camera, &session.versions.stage);
     let settings = &record.settings;
+    let facts = &result.config.lab.instrument;
     let frames: Vec<FrameEntry> = result.session.frames().collect();
     let bench = match &record.bench {
         None => {
@@ -125,12 +131,14 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
         fact(
             "Instrument",
             format!(
-                "rig {:?}; camera {}, serial {}, {} bits; stage firmware {}",
+                "rig {:?}; camera {}, serial {}, {} bits{}; stage firmware {}{}",
                 result.config.name,
                 camera.model,
                 or_none(&camera.serial),
                 camera.bit_depth,
-                or_none(&stage.firmware)
+                facts.camera_band_nm.map_or(String::new(), |[from, to]| format!(", {from} nm to {to} nm")),
+                or_none(&stage.firmware),
+                facts.lamp_power_w.map_or(String::new(), |power| format!("; lamp {power} W")),
             ),
         ),
         fact(
