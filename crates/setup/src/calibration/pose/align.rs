@@ -10,7 +10,7 @@ use super::patches::{
 use super::pyramid::{factors, moved_px, target};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
-use super::slope::Eliminated;
+use super::slope::{BLUR_PX2, Eliminated, slope};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
 use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
@@ -20,8 +20,6 @@ use crate::inverse::nuisance::{Nuisance, Parameter};
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 
-/// Variance of the blur before the images, and its deviation, square pixels.
-pub(super) const BLUR_PX2: [f64; 2] = [0.2, 0.5];
 /// Pixels by which a step of the derivatives moves the sample.
 const STEP_PX: f64 = 0.5;
 /// Derivatives hold while the sample has moved by less, pixels.
@@ -186,12 +184,12 @@ fn check_view(scene: &Scene) -> Result<(), PoseError> {
 /// Part of the mesh's corners that must appear in the image.
 const LEAST_IN_VIEW_PERCENT: f64 = 10.0;
 
-pub(super) struct Aligner<'a> {
-    pub(super) bench: Nuisance,
+struct Aligner<'a> {
+    bench: Nuisance,
     sight: Sight<'a>,
     images: &'a [RadianceImage],
     options: &'a PoseOptions,
-    pub(super) values: DVector<f64>,
+    values: DVector<f64>,
     blur_px2: f64,
 }
 
@@ -204,7 +202,7 @@ struct Level {
 }
 
 /// What is compared around one pose.
-pub(super) struct Views {
+struct Views {
     patches: Vec<[usize; 2]>,
     wanted: Vec<bool>,
     pairs: Vec<Pair>,
@@ -229,27 +227,33 @@ impl Aligner<'_> {
         let mut views = self.views(grid)?;
         let mut away_px = 0.0;
         let mut round = 0;
-        let mut slope: Option<(DMatrix<f64>, usize)> = None;
+        // The slope of the score, and the round in which it was measured.
+        let mut measured: Option<(DMatrix<f64>, usize)> = None;
         loop {
             round += 1;
-            if away_px > NEAR_PX * factor as f64 && slope.is_none() {
+            if away_px > NEAR_PX * factor as f64 && measured.is_none() {
                 views = self.views(grid)?;
                 away_px = 0.0;
             }
             let patches = self.equations(grid, &targets, &views, &self.values, None);
-            let sum = self.sum(&patches, slope.as_ref().map(|(slope, _)| slope));
+            let sum = self.sum(&patches, measured.as_ref().map(|(slope, _)| slope));
             // The rays' noise moves where the score vanishes: once its slope is measured, the
             // mean over the rounds is sought.
-            let measured = slope.as_ref().map(|(_, since)| round - since);
-            let gain = measured.map_or(1.0, |rounds| 1.0 / rounds as f64);
+            let averaged = measured.as_ref().map(|(_, since)| round - since);
+            let gain = averaged.map_or(1.0, |rounds| 1.0 / rounds as f64);
             let step = sum.spectrum.step(&self.values, &sum.score) * gain;
             let settled = self.length(&sum.spectrum, &step) < SETTLED;
             tracing::debug!(factor, round, values = ?self.values.as_slice(), step = ?step.as_slice(), blur = self.blur_px2, "pose round");
-            if finest && slope.is_none() && (settled || round >= self.options.rounds / 3) {
-                slope = Some((self.slope(grid, &targets, &views, &patches), round));
+            if finest && measured.is_none() && (settled || round >= self.options.rounds / 3) {
+                let step_of = |along: &DVector<f64>| self.step_of(along, factor);
+                let moved = |by: &DVector<f64>| {
+                    let values = &self.values + by;
+                    self.equations(grid, &targets, &views, &values, Some(&patches))
+                };
+                measured = Some((slope(&self.bench, &patches, step_of, moved), round));
                 continue;
             }
-            if settled || measured.unwrap_or(round) >= self.options.rounds {
+            if settled || averaged.unwrap_or(round) >= self.options.rounds {
                 let level = Level {
                     grid,
                     patches,
@@ -341,7 +345,7 @@ impl Aligner<'_> {
 
     /// Normal equations of all patches where the parameters are `values`; weighted as
     /// `like` or by their own residuals.
-    pub(super) fn equations(
+    fn equations(
         &self,
         grid: Grid,
         targets: &[Target],
@@ -367,7 +371,7 @@ impl Aligner<'_> {
 
     /// A step along a direction of the parameters that moves the image by half a pixel of the
     /// grid, at most three prior deviations; a light's is one that moves shadows about as far.
-    pub(super) fn step_of(&self, along: &DVector<f64>, factor: usize) -> f64 {
+    fn step_of(&self, along: &DVector<f64>, factor: usize) -> f64 {
         let parameters = self.bench.parameters();
         let pose = (0..along.len()).any(|k| parameters[k].light().is_none() && along[k] != 0.0);
         let turn = |p: &Parameter| matches!(p, Parameter::Rotation(_));

@@ -9,9 +9,11 @@ use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::align::{Aligner, BLUR_PX2, Views};
-use super::patches::{PatchEquations, Target};
-use super::regions::Grid;
+use super::patches::PatchEquations;
+use crate::inverse::nuisance::Nuisance;
+
+/// Variance of the blur before the images, and its deviation, square pixels.
+pub const BLUR_PX2: [f64; 2] = [0.2, 0.5];
 
 /// Information about a direction, in units of the prior's, below which it is as none.
 const LEAST: f64 = 1e-6;
@@ -50,116 +52,111 @@ impl Eliminated {
     }
 }
 
-impl Aligner<'_> {
-    /// By how much the score falls as the parameters rise, P × P, symmetric, measured over a
-    /// step along each direction of the pose; at most the information. `patches` are the
-    /// equations at the present values.
-    pub(super) fn slope(
-        &self,
-        grid: Grid,
-        targets: &[Target],
-        views: &Views,
-        patches: &[PatchEquations],
-    ) -> DMatrix<f64> {
-        let parameters = self.bench.parameters();
-        let n = parameters.len();
-        let eliminated = Eliminated::new(patches, n);
-        let directions = self.directions(&eliminated.information);
-        // Equally weighted at both ends of a step.
-        let fall = |along: &DVector<f64>| {
-            let step = self.step_of(along, grid.factor);
-            let [after, before] = [step, -step].map(|step| {
-                let values = &self.values + along * step;
-                let patches = self.equations(grid, targets, views, &values, Some(patches));
-                let zero = DVector::zeros(n);
-                patches
-                    .iter()
-                    .fold(zero, |sum, p| sum + eliminated.score(p))
-            });
-            (before - after) / (2.0 * step)
-        };
-        // In the directions' coordinates, of which lights keep what they have of their own.
-        let mut slope = directions.tr_mul(&eliminated.information) * &directions;
-        let pose: Vec<usize> = (0..n)
-            .filter(|&k| parameters[k].light().is_none())
-            .collect();
-        let promised = DVector::from_iterator(
-            pose.len(),
-            pose.iter().map(|&k| slope[(k, k)].max(LEAST).sqrt()),
-        );
-        let columns: Vec<DVector<f64>> = pose
-            .iter()
-            .map(|&k| directions.tr_mul(&fall(&directions.column(k).into())))
-            .collect();
-        let kept = DMatrix::from_fn(pose.len(), pose.len(), |i, j| {
-            let [fall, same] = [columns[j][pose[i]], columns[i][pose[j]]];
-            0.5 * (fall + same) / (promised[i] * promised[j])
-        })
-        .symmetric_eigen();
-        // No more than was promised: a step's noise must not add.
-        let part = kept.eigenvalues.map(|v| v.clamp(0.0, 1.0));
-        let kept =
-            &kept.eigenvectors * DMatrix::from_diagonal(&part) * kept.eigenvectors.transpose();
-        for &k in &pose {
-            slope.row_mut(k).fill(0.0);
-            slope.column_mut(k).fill(0.0);
-        }
-        for (i, &row) in pose.iter().enumerate() {
-            for (j, &column) in pose.iter().enumerate() {
-                slope[(row, column)] = kept[(i, j)] * promised[i] * promised[j];
-            }
-        }
-        let Some(back) = directions.try_inverse() else {
-            return eliminated.information;
-        };
-        let slope = back.tr_mul(&slope) * &back;
-        0.5 * (&slope + slope.transpose())
+/// By how much the score falls as the parameters rise, P × P, symmetric, measured over a
+/// step along each direction of the pose; at most the information. `patches` are the
+/// equations at the present values, `step_of` is the length of a step along a direction, and
+/// `moved` the equations after a change of the parameters, weighted as `patches`.
+pub fn slope(
+    bench: &Nuisance,
+    patches: &[PatchEquations],
+    step_of: impl Fn(&DVector<f64>) -> f64,
+    moved: impl Fn(&DVector<f64>) -> Vec<PatchEquations>,
+) -> DMatrix<f64> {
+    let parameters = bench.parameters();
+    let n = parameters.len();
+    let eliminated = Eliminated::new(patches, n);
+    let directions = directions(bench, &eliminated.information);
+    // Equally weighted at both ends of a step.
+    let fall = |along: &DVector<f64>| {
+        let step = step_of(along);
+        let [after, before] = [step, -step].map(|step| {
+            let patches = moved(&(along * step));
+            let zero = DVector::zeros(n);
+            patches
+                .iter()
+                .fold(zero, |sum, p| sum + eliminated.score(p))
+        });
+        (before - after) / (2.0 * step)
+    };
+    // In the directions' coordinates, of which lights keep what they have of their own.
+    let mut slope = directions.tr_mul(&eliminated.information) * &directions;
+    let pose: Vec<usize> = (0..n)
+        .filter(|&k| parameters[k].light().is_none())
+        .collect();
+    let promised = DVector::from_iterator(
+        pose.len(),
+        pose.iter().map(|&k| slope[(k, k)].max(LEAST).sqrt()),
+    );
+    let columns: Vec<DVector<f64>> = pose
+        .iter()
+        .map(|&k| directions.tr_mul(&fall(&directions.column(k).into())))
+        .collect();
+    let kept = DMatrix::from_fn(pose.len(), pose.len(), |i, j| {
+        let [fall, same] = [columns[j][pose[i]], columns[i][pose[j]]];
+        0.5 * (fall + same) / (promised[i] * promised[j])
+    })
+    .symmetric_eigen();
+    // No more than was promised: a step's noise must not add.
+    let part = kept.eigenvalues.map(|v| v.clamp(0.0, 1.0));
+    let kept = &kept.eigenvectors * DMatrix::from_diagonal(&part) * kept.eigenvectors.transpose();
+    for &k in &pose {
+        slope.row_mut(k).fill(0.0);
+        slope.column_mut(k).fill(0.0);
     }
+    for (i, &row) in pose.iter().enumerate() {
+        for (j, &column) in pose.iter().enumerate() {
+            slope[(row, column)] = kept[(i, j)] * promised[i] * promised[j];
+        }
+    }
+    let Some(back) = directions.try_inverse() else {
+        return eliminated.information;
+    };
+    let slope = back.tr_mul(&slope) * &back;
+    0.5 * (&slope + slope.transpose())
+}
 
-    /// Directions of the parameters, as columns: each light's angles, and six of the pose
-    /// along which the lights turn to where they fit best, of a prior deviation each. By the
-    /// information about all.
-    fn directions(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
-        let parameters = self.bench.parameters();
-        let n = parameters.len();
-        let of = |light: Option<usize>| -> Vec<usize> {
-            (0..n).filter(|&k| parameters[k].light() == light).collect()
+/// Directions of the parameters, as columns: each light's angles, and six of the pose
+/// along which the lights turn to where they fit best, of a prior deviation each. By the
+/// information about all.
+fn directions(bench: &Nuisance, information: &DMatrix<f64>) -> DMatrix<f64> {
+    let parameters = bench.parameters();
+    let n = parameters.len();
+    let of = |light: Option<usize>| -> Vec<usize> {
+        (0..n).filter(|&k| parameters[k].light() == light).collect()
+    };
+    let block =
+        |rows: &[usize], columns: &[usize]| information.select_rows(rows).select_columns(columns);
+    let pose = of(None);
+    let lights: BTreeSet<usize> = parameters.iter().filter_map(|p| p.light()).collect();
+    let mut left = block(&pose, &pose);
+    let mut turns = DMatrix::zeros(n, pose.len());
+    for light in lights.into_iter().map(|light| of(Some(light))) {
+        let mut own = block(&light, &light);
+        for (i, &k) in light.iter().enumerate() {
+            own[(i, i)] += bench.prior_deviation(k).powi(-2);
+        }
+        let Some(turned) = own.lu().solve(&block(&light, &pose)) else {
+            continue;
         };
-        let block = |rows: &[usize], columns: &[usize]| {
-            information.select_rows(rows).select_columns(columns)
-        };
-        let pose = of(None);
-        let lights: BTreeSet<usize> = parameters.iter().filter_map(|p| p.light()).collect();
-        let mut left = block(&pose, &pose);
-        let mut turns = DMatrix::zeros(n, pose.len());
-        for light in lights.into_iter().map(|light| of(Some(light))) {
-            let mut own = block(&light, &light);
-            for (i, &k) in light.iter().enumerate() {
-                own[(i, i)] += self.bench.prior_deviation(k).powi(-2);
-            }
-            let Some(turned) = own.lu().solve(&block(&light, &pose)) else {
-                continue;
-            };
-            left -= block(&pose, &light) * &turned;
-            for (i, &k) in light.iter().enumerate() {
-                turns.set_row(k, &-turned.row(i));
-            }
+        left -= block(&pose, &light) * &turned;
+        for (i, &k) in light.iter().enumerate() {
+            turns.set_row(k, &-turned.row(i));
         }
-        let deviations = pose.iter().map(|&k| self.bench.prior_deviation(k));
-        let scale = DMatrix::from_diagonal(&DVector::from_iterator(pose.len(), deviations));
-        let eigen = (&scale * 0.5 * (&left + left.transpose()) * &scale).symmetric_eigen();
-        let vectors = scale * eigen.eigenvectors;
-        for (j, &k) in pose.iter().enumerate() {
-            turns.set_row(
-                k,
-                &DVector::from_fn(pose.len(), |i, _| f64::from(u8::from(i == j))).transpose(),
-            );
-        }
-        let columns = turns * vectors;
-        let mut directions = DMatrix::identity(n, n);
-        for (j, &k) in pose.iter().enumerate() {
-            directions.set_column(k, &columns.column(j));
-        }
-        directions
     }
+    let deviations = pose.iter().map(|&k| bench.prior_deviation(k));
+    let scale = DMatrix::from_diagonal(&DVector::from_iterator(pose.len(), deviations));
+    let eigen = (&scale * 0.5 * (&left + left.transpose()) * &scale).symmetric_eigen();
+    let vectors = scale * eigen.eigenvectors;
+    for (j, &k) in pose.iter().enumerate() {
+        turns.set_row(
+            k,
+            &DVector::from_fn(pose.len(), |i, _| f64::from(u8::from(i == j))).transpose(),
+        );
+    }
+    let columns = turns * vectors;
+    let mut directions = DMatrix::identity(n, n);
+    for (j, &k) in pose.iter().enumerate() {
+        directions.set_column(k, &columns.column(j));
+    }
+    directions
 }
