@@ -211,6 +211,12 @@ impl Nuisance {
         &self.parameters
     }
 
+    /// Which parameters are those of a light, or of none.
+    pub fn of_light(&self, light: Option<usize>) -> Vec<usize> {
+        let own = |&k: &usize| self.parameters[k].light() == light;
+        (0..self.parameters.len()).filter(own).collect()
+    }
+
     /// Standard deviation of a parameter before any image.
     pub fn prior_deviation(&self, parameter: usize) -> f64 {
         self.covariance[(parameter, parameter)].sqrt()

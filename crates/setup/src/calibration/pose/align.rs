@@ -5,12 +5,13 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::patches::{
-    LARGEST_BLUR_PX2, Pair, PatchEquations, SIDE, Target, accumulate_patches, needed, with_edges,
+    BLUR_PX2, Eliminated, LARGEST_BLUR_PX2, Pair, PatchEquations, SIDE, Target, accumulate_patches,
+    needed, with_edges,
 };
 use super::pyramid::{factors, moved_px, target};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
-use super::slope::{BLUR_PX2, Eliminated, slope};
+use super::slope::slope;
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
 use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
@@ -116,9 +117,7 @@ fn align_from(
             .to_array()
             .into_iter()
             .chain(translation.to_array());
-        let parameters = aligner.bench.parameters();
-        let pose = (0..parameters.len()).filter(|&k| parameters[k].light().is_none());
-        for (k, value) in pose.zip(six) {
+        for (k, value) in aligner.bench.of_light(None).into_iter().zip(six) {
             aligner.values[k] = value;
         }
         // A search ends within a pixel or two.
@@ -271,10 +270,7 @@ impl Aligner<'_> {
 
     /// The pose's part of a step in posterior standard deviations, lights marginalised.
     fn length(&self, spectrum: &Spectrum, step: &DVector<f64>) -> f64 {
-        let parameters = self.bench.parameters();
-        let pose: Vec<usize> = (0..step.len())
-            .filter(|&k| parameters[k].light().is_none())
-            .collect();
+        let pose = self.bench.of_light(None);
         let root = spectrum.posterior_root().select_rows(&pose);
         let moved = step.select_rows(&pose);
         match (&root * root.transpose()).cholesky() {
@@ -312,8 +308,7 @@ impl Aligner<'_> {
                     .collect(),
             );
         }
-        let pose = (0..parameters.len()).filter(|&k| parameters[k].light().is_none());
-        groups.extend(pose.map(|k| vec![k]));
+        groups.extend(self.bench.of_light(None).into_iter().map(|k| vec![k]));
         groups.retain(|group| !group.is_empty());
         let pairs: Vec<Pair> = groups
             .into_iter()
@@ -373,7 +368,7 @@ impl Aligner<'_> {
     /// grid, at most three prior deviations; a light's is one that moves shadows about as far.
     fn step_of(&self, along: &DVector<f64>, factor: usize) -> f64 {
         let parameters = self.bench.parameters();
-        let pose = (0..along.len()).any(|k| parameters[k].light().is_none() && along[k] != 0.0);
+        let pose = self.bench.of_light(None).iter().any(|&k| along[k] != 0.0);
         let turn = |p: &Parameter| matches!(p, Parameter::Rotation(_));
         let moved = match parameters.iter().position(turn) {
             // The arc over the sample that a pixel is.
@@ -429,9 +424,7 @@ impl Aligner<'_> {
         rounds: usize,
     ) -> Result<PoseEstimate, PoseError> {
         let parameters = self.bench.parameters();
-        let pose: Vec<usize> = (0..parameters.len())
-            .filter(|&k| parameters[k].light().is_none())
-            .collect();
+        let pose = self.bench.of_light(None);
         // Whether the images show the sample's edges where they are predicted.
         let spectrum = &level.sum.spectrum;
         let deviations = spectrum.deviations();

@@ -15,6 +15,8 @@ use crate::inverse::nuisance::Parameter;
 pub const SIDE: usize = 8;
 /// Pixels around a patch that the blur brings in.
 pub const HALO: usize = 3;
+/// Variance of the blur before the images, and its deviation, square pixels.
+pub const BLUR_PX2: [f64; 2] = [0.2, 0.5];
 /// Largest variance of the blur, square pixels: three steps of a half.
 pub const LARGEST_BLUR_PX2: f64 = 1.5;
 /// Regions of which a patch shows less than this many pixels have one constant radiance.
@@ -59,6 +61,40 @@ pub struct PatchEquations {
     pub chi2_plain: f64,
     /// Each light's weight, at most 1: residuals beyond the noise lower it.
     pub weights: Vec<f64>,
+}
+
+/// What the elimination of the blur leaves.
+pub struct Eliminated {
+    /// Of all parameters, P × P.
+    pub information: DMatrix<f64>,
+    /// With the blur, P.
+    pub to_blur: DVector<f64>,
+    /// Of the blur, with its prior.
+    pub blur_information: f64,
+}
+
+impl Eliminated {
+    /// Of all patches, for `n` parameters besides the blur.
+    pub fn new(patches: &[PatchEquations], n: usize) -> Self {
+        let mut all = DMatrix::zeros(n + 1, n + 1);
+        for patch in patches {
+            all += &patch.information;
+        }
+        let to_blur = all.view((0, n), (n, 1)).column(0).into_owned();
+        let blur_information = all[(n, n)] + BLUR_PX2[1].powi(-2);
+        let own = all.view((0, 0), (n, n)) - &to_blur * to_blur.transpose() / blur_information;
+        Self {
+            information: 0.5 * (&own + own.transpose()),
+            to_blur,
+            blur_information,
+        }
+    }
+
+    /// A patch's score, with what the blur would take of it taken away.
+    pub fn score(&self, patch: &PatchEquations) -> DVector<f64> {
+        let n = self.to_blur.len();
+        patch.score.rows(0, n) - &self.to_blur * (patch.score[n] / self.blur_information)
+    }
 }
 
 /// First pixels of the patches in which regions meet, for at least one light.
@@ -107,7 +143,7 @@ fn labels(grid: Grid, parts: &Parts, light: usize, [x, y]: [usize; 2]) -> Vec<(u
 }
 
 /// Normal equations of each patch, linearised at `base` with the blur at `blur_px2`; weighted
-/// as `like` was, patch by patch, or by their own residuals.
+/// as `like`, patch by patch, or by their own residuals.
 #[allow(clippy::too_many_arguments)]
 pub fn accumulate_patches(
     grid: Grid,

@@ -20,8 +20,9 @@ const DARK: f64 = 1e-3;
 pub fn factors(scene: &Scene, priors: &BenchPriors, options: &PoseOptions) -> Vec<usize> {
     let [width, height] = scene.camera.resolution_px;
     let bench = Nuisance::new(scene, priors);
-    let off_px = (0..bench.parameters().len())
-        .filter(|&k| bench.parameters()[k].light().is_none())
+    let off_px = bench
+        .of_light(None)
+        .into_iter()
         .map(|k| {
             let mut values = DVector::zeros(bench.parameters().len());
             values[k] = bench.prior_deviation(k);

@@ -9,48 +9,11 @@ use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::patches::PatchEquations;
+use super::patches::{Eliminated, PatchEquations};
 use crate::inverse::nuisance::Nuisance;
-
-/// Variance of the blur before the images, and its deviation, square pixels.
-pub const BLUR_PX2: [f64; 2] = [0.2, 0.5];
 
 /// Information about a direction, in units of the prior's, below which it is as none.
 const LEAST: f64 = 1e-6;
-
-/// What the elimination of the blur leaves.
-pub struct Eliminated {
-    /// Of all parameters, P × P.
-    pub information: DMatrix<f64>,
-    /// With the blur, P.
-    pub to_blur: DVector<f64>,
-    /// Of the blur, with its prior.
-    pub blur_information: f64,
-}
-
-impl Eliminated {
-    /// Of all patches, for `n` parameters besides the blur.
-    pub fn new(patches: &[PatchEquations], n: usize) -> Self {
-        let mut all = DMatrix::zeros(n + 1, n + 1);
-        for patch in patches {
-            all += &patch.information;
-        }
-        let to_blur = all.view((0, n), (n, 1)).column(0).into_owned();
-        let blur_information = all[(n, n)] + BLUR_PX2[1].powi(-2);
-        let own = all.view((0, 0), (n, n)) - &to_blur * to_blur.transpose() / blur_information;
-        Self {
-            information: 0.5 * (&own + own.transpose()),
-            to_blur,
-            blur_information,
-        }
-    }
-
-    /// A patch's score, with what the blur would take of it taken away.
-    pub fn score(&self, patch: &PatchEquations) -> DVector<f64> {
-        let n = self.to_blur.len();
-        patch.score.rows(0, n) - &self.to_blur * (patch.score[n] / self.blur_information)
-    }
-}
 
 /// By how much the score falls as the parameters rise, P × P, symmetric, measured over a
 /// step along each direction of the pose; at most the information. `patches` are the
@@ -62,8 +25,7 @@ pub fn slope(
     step_of: impl Fn(&DVector<f64>) -> f64,
     moved: impl Fn(&DVector<f64>) -> Vec<PatchEquations>,
 ) -> DMatrix<f64> {
-    let parameters = bench.parameters();
-    let n = parameters.len();
+    let n = bench.parameters().len();
     let eliminated = Eliminated::new(patches, n);
     let directions = directions(bench, &eliminated.information);
     // Equally weighted at both ends of a step.
@@ -80,9 +42,7 @@ pub fn slope(
     };
     // In the directions' coordinates, of which lights keep what they have of their own.
     let mut slope = directions.tr_mul(&eliminated.information) * &directions;
-    let pose: Vec<usize> = (0..n)
-        .filter(|&k| parameters[k].light().is_none())
-        .collect();
+    let pose = bench.of_light(None);
     let promised = DVector::from_iterator(
         pose.len(),
         pose.iter().map(|&k| slope[(k, k)].max(LEAST).sqrt()),
@@ -115,22 +75,18 @@ pub fn slope(
     0.5 * (&slope + slope.transpose())
 }
 
-/// Directions of the parameters, as columns: each light's angles, and six of the pose
-/// along which the lights turn to where they fit best, of a prior deviation each. By the
-/// information about all.
+/// Directions of the parameters, as columns: each light's own angles, and six of the pose,
+/// a prior deviation long, along which the lights turn to where they fit best by `information`.
 fn directions(bench: &Nuisance, information: &DMatrix<f64>) -> DMatrix<f64> {
     let parameters = bench.parameters();
     let n = parameters.len();
-    let of = |light: Option<usize>| -> Vec<usize> {
-        (0..n).filter(|&k| parameters[k].light() == light).collect()
-    };
     let block =
         |rows: &[usize], columns: &[usize]| information.select_rows(rows).select_columns(columns);
-    let pose = of(None);
+    let pose = bench.of_light(None);
     let lights: BTreeSet<usize> = parameters.iter().filter_map(|p| p.light()).collect();
     let mut left = block(&pose, &pose);
     let mut turns = DMatrix::zeros(n, pose.len());
-    for light in lights.into_iter().map(|light| of(Some(light))) {
+    for light in lights.into_iter().map(|light| bench.of_light(Some(light))) {
         let mut own = block(&light, &light);
         for (i, &k) in light.iter().enumerate() {
             own[(i, i)] += bench.prior_deviation(k).powi(-2);
@@ -148,10 +104,7 @@ fn directions(bench: &Nuisance, information: &DMatrix<f64>) -> DMatrix<f64> {
     let eigen = (&scale * 0.5 * (&left + left.transpose()) * &scale).symmetric_eigen();
     let vectors = scale * eigen.eigenvectors;
     for (j, &k) in pose.iter().enumerate() {
-        turns.set_row(
-            k,
-            &DVector::from_fn(pose.len(), |i, _| f64::from(u8::from(i == j))).transpose(),
-        );
+        turns[(k, j)] = 1.0;
     }
     let columns = turns * vectors;
     let mut directions = DMatrix::identity(n, n);
