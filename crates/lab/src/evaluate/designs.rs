@@ -16,9 +16,9 @@ use super::lab::samples::{BELIEVED_SEGMENTS, TRUE_SEGMENTS, directional};
 use super::lab::{Lab, Material};
 use super::shown_angles::figure;
 use crate::brdf::Dictionary;
-use crate::design::Profile;
 use crate::design::profile::HEIGHTS;
-use crate::geometry::shapes::{Form, of_knots};
+use crate::design::{Limits, Profile};
+use crate::geometry::shapes::Form;
 use crate::geometry::{Mesh, MeshError, Shape};
 use crate::inverse::FitOptions;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -79,6 +79,16 @@ const SHEET: [f64; HEIGHTS] = [
     0.022_878_704_264_062_327,
 ];
 
+/// A shipped design, as large as the others.
+fn shipped(heights: &[f64; HEIGHTS], form: Form, segments: u32) -> Result<Mesh, MeshError> {
+    let limits = Limits {
+        form,
+        radius_mm: 1.0,
+        ..Limits::default()
+    };
+    Profile::through(heights).mesh(&limits, segments)
+}
+
 /// Pairs of an angle from the sample's axis and an azimuth, degrees.
 type Lamps = &'static [(f64, f64)];
 
@@ -119,17 +129,9 @@ impl Design {
     /// About 2 mm wide, with `segments` facets around.
     fn mesh(self, segments: u32) -> Result<Mesh, MeshError> {
         let radius_mm = 1.0;
-        let (heights, form) = match self {
-            Self::Turned => (TURNED, Form::Revolved),
-            Self::Sheet => (SHEET, Form::Extruded),
-            _ => return self.shape(radius_mm, segments).mesh(),
-        };
-        let knots = Profile::through(&heights).knots;
-        of_knots(&knots, radius_mm, form, 2.0 * radius_mm, segments)
-    }
-
-    fn shape(self, radius_mm: f32, segments: u32) -> Shape {
-        match self {
+        let shape = match self {
+            Self::Turned => return shipped(&TURNED, Form::Revolved, segments),
+            Self::Sheet => return shipped(&SHEET, Form::Extruded, segments),
             Self::Bowl => Shape::Bowl {
                 radius_mm,
                 segments,
@@ -145,11 +147,12 @@ impl Design {
                 opening_deg: 60.0,
                 segments,
             },
-            _ => Shape::Sphere {
+            Self::Ball => Shape::Sphere {
                 radius_mm,
                 segments,
             },
-        }
+        };
+        shape.mesh()
     }
 
     /// Angle of the camera from the sample's axis, degrees, at azimuth 180°.
