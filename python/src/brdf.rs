@@ -438,9 +438,7 @@ impl Brdf {
 /// Names of the embedded measured materials, as Brdf.load takes them.
 #[pyfunction]
 pub fn materials() -> Vec<String> {
-    let mut names = nbrdf::NAMES.map(|name| format!("nbrdf:{name}")).to_vec();
-    names.sort();
-    names
+    nbrdf::specs()
 }
 
 /// A dictionary by name or file, or a list of atoms.

@@ -157,8 +157,7 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
 }
 
 fn list(json: bool) -> Result<(), CliError> {
-    let mut names = nbrdf::NAMES.map(|name| format!("nbrdf:{name}"));
-    names.sort();
+    let names = nbrdf::specs();
     match json {
         true => write_json(&names),
         false => names.iter().try_for_each(|name| out!("{name}")),

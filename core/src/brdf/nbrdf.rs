@@ -47,6 +47,13 @@ pub const NAMES: [&str; 26] = [
     "yellow-matte-plastic",
 ];
 
+/// What [`super::source::load`] takes for each embedded material, sorted.
+pub fn specs() -> Vec<String> {
+    let mut specs = NAMES.map(|name| format!("nbrdf:{name}")).to_vec();
+    specs.sort();
+    specs
+}
+
 const HIDDEN: usize = 21;
 const PARAMETERS: usize = 675;
 static WEIGHTS: &[u8; 4 * PARAMETERS * NAMES.len()] =
