@@ -256,7 +256,7 @@ fn usage_error(rendered: &str, subcommand: &str) -> CliError {
     CliError::new(&fact).hint(hints.join("; "))
 }
 
-/// Which commands above and beside `subcommand` take an unexpected option, where few do.
+/// The commands above and beside `subcommand` that have the option it rejects, if at most three do.
 fn takers(fact: &str, subcommand: &str) -> Option<String> {
     let rest = fact.strip_prefix("unexpected argument '--")?;
     let (long, _) = rest.split_once('\'')?;

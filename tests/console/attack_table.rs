@@ -357,7 +357,7 @@ pub fn bodies() -> Vec<Row> {
         a lamp that is none | /api/bench/lamp | {"channel": 256} | 400
         a lamp that is another's | /api/bench/lamp | {"channel": 0, "out": "pwned"} | 400
         an exposure that is no time | /api/bench/exposure | {"exposure_ms": 1e999, "gain": 1} | 400
-        a move to nowhere | /api/bench/move | {"azimuth_deg": null, "elevation_deg": 1} | 400
+        a move without an azimuth | /api/bench/move | {"azimuth_deg": null, "elevation_deg": 1} | 400
         a rig file's text that is none | /api/rigs/save | {"rig": "secret.txt", "text": "x", "sum": ""} | 404
         a bench that runs a program | /api/setup | {"answers": {"camera": "command", "camera_address": "touch pwned"}} | 422
         a bench of a name elsewhere | /api/setup | {"answers": {"name": "../pwned"}} | 409 422

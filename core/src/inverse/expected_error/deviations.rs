@@ -15,8 +15,8 @@ use crate::transport::Scene;
 pub struct Deviation {
     /// The true scene; its lights stand in the order of the description's.
     pub scene: Scene,
-    /// By how much the squared error counts: 1/k² for k standard deviations, over n for one
-    /// of n random draws.
+    /// Factor of the squared error: 1/k² where the parameter is off by k standard deviations,
+    /// divided by n where n scenes are drawn at random for one parameter.
     pub weight: f64,
     /// Whether each light's error is independent of the others'.
     pub by_light: bool,
